@@ -15,14 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from repro.chain import Frames, frames, turn
 from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
-from repro.robot import Chain, Robot, frames, turn
+from repro.parts import Assembly
 
 _MULTIPOLES, _NETWORKS, _OTHER = range(3)
 _VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
@@ -31,7 +32,7 @@ _VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
 class Tables(NamedTuple):
     """A robot and its field model as arrays for the kernels."""
 
-    chain: Chain
+    chain: Frames
     magnet_frame: Array
     magnet_place: Array
     """Position and axis of every magnet in its frame ``[m, 6]``."""
@@ -94,7 +95,7 @@ def unpack(ints, floats, weights):
     a += m * terms
     gain, offset, earth = floats[a : a + s], floats[a + s : a + 2 * s], floats[a + 2 * s :]
     return Tables(
-        Chain(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
+        Frames(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
         imu_rotation, moments, gain, offset, earth, ints[7], ints[8] == 1, ints[9], widths, network, weights,
     )  # fmt: skip
 
@@ -397,7 +398,8 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
 
 
 @kernel(entry=True, allocates=True)
-def _batch_difference(n_s, u, u_hat, r):
+def batch_difference(n_s, u, u_hat, r):
+    """Write what was read beyond what was predicted for a batch, rotations behind ``n_s`` plain readings."""
     A, B, W = np.zeros((3, 4)), np.zeros((3, 3)), np.zeros((6, 6))
     for n in range(len(u)):
         difference(n_s, u[n], u_hat[n], r[n], A, B, W)
@@ -407,6 +409,14 @@ _UNUSED = (np.empty((0, 0)), np.empty((1, 0, 0)))
 _NO_WEIGHTS = np.zeros((0, 0), dtype=np.float32)
 """Of the type of the paper's networks, so that one compilation serves them and multipoles."""
 _FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
+
+
+@runtime_checkable
+class Linearised(Protocol):
+    """A model that gives its slopes, too."""
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        """Return values, and their slopes by ``x``."""
 
 
 class Sensing:
@@ -456,7 +466,7 @@ class Sensing:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Assembly,
         model: _FieldModel = None,
         *,
         inputs: str = "cosines",
@@ -490,7 +500,7 @@ class Sensing:
             require(np.any(along), "earth", owner, "a direction", earth)
             along = along / np.linalg.norm(along)
         places = [part.place for part in (*robot.magnets, *robot.sensors, *robot.imus)]
-        chain, frame = robot.chain(places)
+        chain, frame = robot.frames(places)
         rows = [
             (frame[n_m + j], np.concatenate([sensor.place.position, sensor.place.rotation[:, axis]]))
             for j, sensor in enumerate(robot.sensors)
@@ -625,7 +635,7 @@ class Sensing:
         u, u_hat = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(u_hat, dtype=float))
         flat, hat = (np.ascontiguousarray(x.reshape(-1, self.n_readings)) for x in (u, u_hat))
         r = np.empty_like(flat)
-        _batch_difference(self.n_magnetic, flat, hat, r)
+        batch_difference(self.n_magnetic, flat, hat, r)
         return r.reshape(u.shape)
 
     def wrenches(self, q: Any) -> tuple[Array, Array]:
@@ -655,9 +665,9 @@ class Sensing:
 
     def _model_slopes(self, xi: Array) -> tuple[Array, Array]:
         """Readings and slopes by the relations: the model's own, else by central differences."""
-        own = getattr(self.model, "linearise", None)
-        if own is not None:
-            u, slopes = own(xi)
+        model: Any = self.model
+        if isinstance(model, Linearised):
+            u, slopes = model.linearise(xi)
             return np.asarray(u, dtype=float), np.ascontiguousarray(slopes, dtype=float)
         slopes = np.empty_like(xi)
         for c in range(xi.shape[-1]):
@@ -667,7 +677,14 @@ class Sensing:
         return self._modelled(xi), slopes
 
 
-def relations(robot: Robot, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
+def sensing_of(robot: Assembly) -> Sensing:
+    """Return the sensor model of a robot, with the gain and offset of every sensor and the Earth's field."""
+    n = sum(sensor.axes for sensor in robot.sensors)
+    gain, offset = (robot.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
+    return Sensing(robot, robot.model, moments=robot.moments, gain=gain, offset=offset, earth=robot.earth)
+
+
+def relations(robot: Assembly, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
     r"""Return the relations between all sensors and magnets of a robot, eqs (3) to (7) of Baaij et al. 2023.
 
     Parameters

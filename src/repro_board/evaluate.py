@@ -22,15 +22,16 @@ from scipy.stats import chi2 as chi_square
 
 from repro.check import mirrors_in_words
 from repro.common import Array, bad_input, numbers, require, whole
-from repro.estimators.base import Trajectory, track
-from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
+from repro.estimators.calibration import Calibration, calibrate, calibration_text, load_calibration
 from repro.estimators.drift import Drift, Drifting, DriftModel
 from repro.estimators.kalman import KalmanFilter
-from repro.estimators.kalman import smooth as smoothed
 from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.track import Trajectory, track
+from repro.estimators.track import smooth as smoothed
 from repro.robot import Robot
-from repro.robot_file import calibration_text, load_calibration, load_robot
+from repro.robot_file import load_robot
 from repro.tables import read_table
+from repro.tolerances import Tolerances, placed
 
 ESTIMATORS = ("levenberg_marquardt", "kalman")
 """Those that a monitor watches."""
@@ -330,7 +331,7 @@ def calibrate_files(
     rate_hz: float | None = None,
 ) -> Report:
     """Calibrate a robot from readings in held poses, or without poses from its motion, and write a calibration."""
-    from repro.motion_capture import read_poses
+    from repro.motion_files import read_poses
 
     owner = "repro calibrate"
     path, arm = _new(output, owner), _robot(robot, owner)
@@ -802,7 +803,7 @@ def evaluate_files(
     """Compare estimates with measured poses: lag, calibration on the first part, errors on the rest, a new folder."""
     import pandas as pd
 
-    from repro.motion_capture import read_poses
+    from repro.motion_files import read_poses
 
     owner = "repro evaluate"
     folder, arm = _new(output, owner), _robot(robot, owner)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import InputError
 from repro.estimators.base import Estimate
-from repro.motion_capture import Motion as MotionCapture
+from repro.motion_files import Motion as MotionCapture
 from repro_companion.papers import mitchell
 from repro_companion.run import project_folder
 

@@ -21,6 +21,7 @@ from repro import (
     Robot,
     Sensor,
 )
+from repro.chain import point_on
 
 STORED = np.load(Path(__file__).parents[1] / "oracles" / "first_edition.npz")
 """What the first edition of this project answered, an implementation of its own by torch (commit 13f7d3e)."""
@@ -128,3 +129,8 @@ def complex_pose(robot: Robot, q: np.ndarray, place) -> tuple[np.ndarray, np.nda
         T, x = complex_frame(segment, q[at : at + n], v)
         R, p, at = R @ T, p + R @ x, at + n
     return R @ place.rotation, p + R @ place.position
+
+
+def tips(robot):
+    """Return the places at the ends of all segments."""
+    return [point_on(g, segment.length) for g, segment in enumerate(robot.segments, 1)]

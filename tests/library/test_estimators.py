@@ -9,18 +9,15 @@ import pandas as pd
 import pytest
 
 from repro import (
-    Arm,
     BendSensor,
     Drift,
     Drifting,
     GradientDescent,
-    ImuShape,
     InputError,
     KalmanFilter,
     LevenbergMarquardt,
     ParticleFilter,
     Sensing,
-    pcc_extended,
     smooth,
     track,
 )
@@ -39,12 +36,6 @@ def callable_model(q):
     return np.stack([q.sum(-1), q[..., 0] - q[..., 1], 2 * q[..., 2], q[..., 1] * q[..., 2]], axis=-1)
 
 
-def upright(n):
-    return np.tile([0.0, 0.0, 0.0, 1.0], n)
-
-
-ARM = Arm((0, 1, 2), (0.0, 0.1, 0.2), (0.1, 0.1), sub_segments=4)
-TILTED = np.array([0.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.99498743710662, 0.2, 0.0, 0.0, 0.97979589711327])
 ESTIMATORS = {
     "descent": (GradientDescent(SENSING, [3.5e-4] * 3, noise=1e-3), Q0, SENSING(Q0 + 2e-4)),
     "descent of a robot": (
@@ -70,7 +61,6 @@ ESTIMATORS = {
         np.array([0.3, 0.1]),
         BendSensor(0.015)([0.31, 0.12]),
     ),
-    "IMUs": (ImuShape(pcc_extended, ARM, (0.1, 0.2), noise=0.01), np.zeros(6), TILTED),
     "rod": (
         RodFilter(
             Rod(1.0, bending=1, torsion=0), (RodSensor("pose", 1e-3, arc_m=1.0),), (10.0, 10.0), rate=1.0
@@ -79,7 +69,7 @@ ESTIMATORS = {
         np.array([0.0, 0.0, 1.0, 0.01, 0.0, 0.0]),
     ),
 }
-GROUP = {"IMUs": 4, "rod": 6}
+GROUP = {"rod": 6}
 """Readings that count as missing together."""
 
 

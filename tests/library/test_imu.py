@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from repro import (
     Arm,
     BallJoint,
-    ImuShape,
     InputError,
     Link,
     Robot,
@@ -23,9 +22,8 @@ from repro import (
     exact_arcs,
     pcc_extended,
     rigid_body,
-    track,
 )
-from repro.robot import point_on
+from repro.chain import point_on
 
 MODELS = (pcc_extended, exact_arcs, rigid_body)
 UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)
@@ -125,6 +123,7 @@ def test_orientations_of_an_arm():
         ),
         ({"points": [0.1, 0.33]}, r"arc_lengths of {} must be distances between 0 and 0\.32 m"),
         ({"points": [-1e-9]}, "arc_lengths of {} must be distances between 0 and"),
+        ({"points": []}, "arc_lengths of {} must be distances .* at least one"),
         ({"arm": EIGHT.imus}, "arm of {} must be an Arm; instead received tuple"),
     ],
 )
@@ -188,63 +187,7 @@ def test_known_parameters_and_the_least_squares_of_the_docstring():
     np.testing.assert_allclose(found.deviation, deviation, rtol=1e-3)
 
 
-METHOD = ImuShape(exact_arcs, EIGHT, [0.36, 0.6], noise=0.02)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_known_coordinates_move_the_others_by_their_covariance(seed):
-    """The mean and covariance of a Gaussian given three of its six coordinates."""
-    u = bent(seed, 1, 9).reshape(36)
-    _, free = METHOD.step(None, u)
-    _, found = METHOD.step(None, u, known=[0.1, 0.0, 0.3, *[np.nan] * 3])
-    K = free.covariance[3:, :3] @ np.linalg.inv(free.covariance[:3, :3])
-    np.testing.assert_array_equal(found.q[:3], [0.1, 0.0, 0.3])
-    np.testing.assert_allclose(found.q[3:], free.q[3:] + K @ (found.q - free.q)[:3], atol=1e-8)
-    rest = free.covariance[3:, 3:] - K @ free.covariance[:3, 3:]
-    np.testing.assert_allclose(found.covariance[3:, 3:], rest, atol=1e-8)
-    assert not found.covariance[:3].any()
-
-
-def test_covariance_is_what_noisy_sensors_scatter():
-    q, rng = bent(3, 1, 9), np.random.default_rng(0)
-    noise = np.array([0.0, *[0.01] * 4, *[0.03] * 4])
-    _, found = replace(METHOD, noise=noise).step(None, q.reshape(36))
-    turns = (noise[:, None] * rng.normal(size=(20000, 9, 3))).reshape(-1, 3)
-    noisy = (Rotation.from_rotvec(turns) * Rotation.from_quat(np.tile(q[0], (20000, 1)))).as_quat()
-    scatter = np.cov(exact_arcs(noisy.reshape(-1, 9, 4), EIGHT, [0.36, 0.6]).reshape(-1, 6).T)
-    size = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
-    np.testing.assert_allclose(found.covariance / size, scatter / size, atol=0.04)
-
-
-def test_missing_imus():
-    """By NaN, infinity, zeros or the mask; filled on the arc between their neighbours."""
-    q = bent(8, 1, 9)[0]
-    gaps = [q.copy() for _ in range(4)]
-    gaps[0][3, 1], gaps[1][3, 2], gaps[2][3] = np.nan, -np.inf, 0.0
-    masks = [None, None, None, np.arange(36) != 13]
-    found = [METHOD.step(None, list(u.ravel()), mask=m)[1] for u, m in zip(gaps, masks, strict=True)]
-    between = Slerp([0, 1], Rotation.from_quat(q[[2, 4]]))(0.5).as_quat()
-    for estimate in found:
-        np.testing.assert_array_equal(estimate.q, found[0].q)
-        assert (estimate.missing, estimate.dof, estimate.chi2) == (4, 0, 0.0)
-        assert np.flatnonzero(estimate.details["missing_imus"]).tolist() == [3]
-        assert abs(estimate.u_hat.reshape(9, 4)[3] @ between) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_batch_equals_loop():
-    """Also when the turns are taken in several portions."""
-    u = bent(9, 140, 9).reshape(2, 70, 36)
-    u[0, 1, 5], u[1, 0, :8], u[1, 2, 28:] = np.nan, 0.0, np.inf
-    before = u.copy()
-    batch = METHOD.step(METHOD.init(), u)[1]
-    np.testing.assert_array_equal(u, before)
-    for i, rows in enumerate(u):
-        alone = track(METHOD, rows, np.zeros(6))
-        for name in ("q", "covariance", "u_hat", "missing", "chi2"):
-            np.testing.assert_allclose(getattr(batch, name)[i], getattr(alone, name), atol=1e-13)
-
-
-ARM, SHAPE, STEP = partial(replace, UNEVEN), partial(replace, METHOD), partial(METHOD.step, None)
+ARM = partial(replace, UNEVEN)
 CALIBRATION = partial(
     calibrate_imus, model=exact_arcs, arm=EIGHT, orientations=bent(0, 5, 9), markers=np.zeros((5, 2, 3))
 )
@@ -272,21 +215,6 @@ CALIBRATION = partial(
         (ARM, {"interpolation": "middle"}, "interpolation of Arm must be 'midpoints' or 'inner points'"),
         (ARM, {"base_turn": [0, 0, 0, 2]}, "base_turn of Arm must be unit quaternions XYZW"),
         (UNEVEN.select, {"orientations": bent(0, 1, 4)}, r"those of IMUs 0 to 4; .* shape \(1, 4, 4\)"),
-        (SHAPE, {"arc_lengths": []}, "arc_lengths of exact_arcs must be distances .* at least one"),
-        (SHAPE, {"noise": 0.0}, r"noise of ImuShape must be positive \[rad\]"),
-        (SHAPE, {"noise": [0.1] * 8}, r"noise of ImuShape must be numbers of shape \(9\)"),
-        (SHAPE, {"roughness": -1.0}, r"roughness of ImuShape must be positive \[rad/sqrt\(m\)\]"),
-        (
-            SHAPE,
-            {"model": lambda *_: np.zeros((1, 3))},
-            "model of ImuShape must be one that returns a position",
-        ),
-        (SHAPE, {"arm": None}, "arm of ImuShape must be an Arm"),
-        (METHOD.init, {"q0": np.zeros(5)}, r"q0 of ImuShape must be numbers of shape \(..., 6\)"),
-        (STEP, {"u": np.ones(32)}, r"Input u of ImuShape must be 36 readings \(last dimension\)"),
-        (STEP, {"u": np.full(36, 0.51)}, r"u of ImuShape must be unit quaternions .* a norm of 1\.02"),
-        (STEP, {"u": np.zeros(36)}, "at least one IMU with four readings that are not missing"),
-        (STEP, {"u": ["a"] * 36}, "Input u of ImuShape must be numbers"),
         (
             CALIBRATION,
             {"markers": np.zeros((5, 1, 3))},

@@ -26,7 +26,7 @@ from repro import (
     track,
 )
 from repro.estimators.base import CallableModel
-from repro.estimators.monitor import STATUS, Monitor, _limit
+from repro.estimators.monitor import STATUS, Monitor, limit
 from repro.estimators.rod import Rod, RodFilter, RodSensor
 from repro_board.emulate import course, faulty
 
@@ -56,8 +56,8 @@ def method(request):
 def test_the_bound_is_above_the_quantile_and_not_far(x):
     dof = np.array([1, 2, 5, 20, 100, 1000])
     quantile = stats.chi2.isf(np.exp(-x), dof)
-    assert (_limit(dof, x) > quantile).all()
-    assert (_limit(dof, x) < 2.5 * quantile).all()
+    assert (limit(dof, x) > quantile).all()
+    assert (limit(dof, x) < 2.5 * quantile).all()
 
 
 def test_nothing_is_said_of_good_readings_and_nothing_changes(method):
@@ -100,7 +100,7 @@ def test_small_errors_that_last_give_an_alarm_when_sums_over_ten_or_a_hundred_ro
     for rows in (10, 100):
         weights = (1 - 1 / rows) ** np.arange(360.0)
         chi2, dof = (np.convolve(x, weights)[:360] for x in (squares, np.full(360, 4.0)))
-        above |= chi2 > _limit(dof, 18.4)
+        above |= chi2 > limit(dof, 18.4)
     assert np.argmax(followed(squares).status == "inconsistent") == np.argmax(above) > 0
 
 

@@ -15,10 +15,11 @@ from repro.estimators.base import (
     incoming,
     known_coordinates,
     model_of,
+    robot_of,
     start,
 )
-from repro.robot import Robot
-from repro.sensing import difference, evaluate, room_for, unpack
+from repro.parts import Assembly
+from repro.sensing import Sensing, difference, evaluate, room_for, sensing_of, unpack
 
 _ABSURD = 1e3
 """Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
@@ -79,7 +80,8 @@ class GradientDescent:
     def __init__(
         self, sensing: Any, step_size: Any, momentum: float = 0.3, iterations: int = 20, noise: Any = None
     ) -> None:
-        owner, n = "GradientDescent", getattr(sensing, "n_q", 0)
+        owner = "GradientDescent"
+        n = sensing.n_q if isinstance(sensing, Assembly | Sensing) else 0
         moves = numbers(step_size, "step_size", owner)
         fits = moves.shape in ((), (n,)) if n else moves.ndim == 1
         words = f"for each of {n} coordinates, or one for all" if n else "for each coordinate"
@@ -89,13 +91,14 @@ class GradientDescent:
         require(0 <= momentum < 1, "momentum", owner, "in [0, 1)", momentum)
         require(iterations >= 1, "iterations", owner, "at least 1", iterations)
         self.momentum, self.iterations, self.n_q = float(momentum), iterations, len(self.step_size)
-        robot = sensing if isinstance(sensing, Robot) else None
-        noise = getattr(robot, "total_noise", None) if noise is None else noise
+        robot = sensing if isinstance(sensing, Assembly) else None
+        noise = robot.total_noise if noise is None and robot is not None else noise
         self.noise = numbers(math.nan if noise is None else noise, "noise", owner, finite=False)
         require(not (self.noise <= 0).any(), "noise", owner, "positive", noise)
-        model = sensing if robot is None else robot.sensing()
+        model = sensing if robot is None else sensing_of(robot)
         # A callable is differentiated over steps of the size of a soft robot's coordinates.
         self.model = model_of(model, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
+        self.robot = robot_of(self.model)
         low, high = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
         if robot is not None and robot.lower is not None and robot.upper is not None:
             low, high = robot.lower, robot.upper
@@ -131,30 +134,40 @@ class GradientDescent:
         batch, s = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1]), u.shape[-1]
         given: Any = known_coordinates(known, n, owner, self._fixed)
         known = each(given, batch, n)
-        before, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
-        before, b, moves = np.where(free, before, known), np.where(free, b, 0.0), free * self.step_size
+        q, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
+        q, b, moves = np.where(free, q, known), np.where(free, b, 0.0), free * self.step_size
         rows = np.ascontiguousarray(each(u, batch, s))
+        q, later, u_hat, status, lost = self._descended_or_left(q, b, rows, moves)
+        q, there = self.angles.wrapped(q), np.isfinite(rows)
+        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
+        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
+        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
+        values = {
+            "q": q, "covariance": None, "u_hat": u_hat, "chi2": chi2, "dof": np.maximum(n_used - free.sum(1), 0),
+            "missing": s - n_used,
+        }  # fmt: skip
+        details = {"loss": status[:, 0], "best_iteration": status[:, 1], "left_out": there & lost[:, None]}
+        values, details = (
+            {name: None if x is None else x.reshape((*batch, *x.shape[1:]))[()] for name, x in one.items()}
+            for one in (values | {"q": np.where(lost[:, None], np.nan, q)}, details)
+        )
+        state = DescentState(q.reshape(*batch, n), later.reshape(*batch, n))
+        return state, Estimate(**values, details=details)
+
+    def _descended_or_left(
+        self, before: Array, b: Array, rows: Array, moves: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what a descent finds, and which rows it leaves where they were: their readings are absurd."""
         q, later, u_hat, status = self._descended(before, b, rows, moves)
-        loss, best = status.T
-        absurd = (best == 0) & (loss > _ABSURD**2 * np.square(u_hat).mean(1))
+        absurd = (status[:, 1] == 0) & (status[:, 0] > _ABSURD**2 * np.square(u_hat).mean(1))
         lost = absurd | ~np.isfinite(np.hstack([q, later, status])).all(1)
         if lost.any():  # if readings near those of the start lead astray too, it is not the row
             near = 1.01 * self.model.linearise(before[lost])[0]
             again = np.hstack(self._descended(before[lost], 0.0 * b[lost], near, moves[lost]))
             small = "small enough for a finite descent"
-            require(np.isfinite(again).all(), "step_size", owner, small, "NaN on the way")
+            require(np.isfinite(again).all(), "step_size", "GradientDescent", small, "NaN on the way")
             q[lost], later[lost], u_hat[lost] = before[lost], b[lost], np.nan
-        q = self.angles.wrapped(q)
-        there = np.isfinite(rows)
-        details = {"loss": loss, "best_iteration": best, "left_out": there & lost[:, None]}
-        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
-        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
-        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
-        dof = np.maximum(n_used - free.sum(1), 0)
-        shown = np.where(lost[:, None], np.nan, q), u_hat, chi2, dof, s - n_used, *details.values()
-        told, u_hat, chi2, dof, missing, *rest = (x.reshape((*batch, *x.shape[1:]))[()] for x in shown)
-        found = Estimate(told, None, u_hat, chi2, dof, missing, dict(zip(details, rest, strict=True)))
-        return DescentState(q.reshape(*batch, n), later.reshape(*batch, n)), found
+        return q, later, u_hat, status, lost
 
     def _descended(self, q: Array, b: Array, rows: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
         """Return configuration, momentum, readings there, and loss with its iteration, of every member."""

@@ -28,9 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import unit_quaternions
 from repro.common import Array, numbers, require
-from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, start
-from repro.robot import unit_quaternions
 
 
 @dataclass(frozen=True)
@@ -451,19 +450,17 @@ def calibrate_imus(
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    owner, values = "calibrate_imus", (noise, rotation, translation, heading, mounting)
-    for name, value in zip(("noise", "rotation", "translation", "heading", "mounting"), values, strict=True):
+    owner = "calibrate_imus"
+    tolerances = {"rotation": rotation, "translation": translation, "heading": heading, "mounting": mounting}
+    for name, value in {"noise": noise, **tolerances}.items():
         require(0 < value < math.inf, name, owner, "positive", value)
     q = unit_quaternions(orientations, "orientations", owner, (None, len(arm.imus), 4))
     seen_at = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
     seen = np.isfinite(seen_at).all(axis=-1)
     require(seen.sum() >= 2, "markers", owner, "at least two positions that were seen", int(seen.sum()))
     seen_at = seen_at[seen]
-    last = max(arm.markers)
-    own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
-    names = tuple(f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz")
-    names += tuple(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y"))
-    scale = np.array([rotation] * 3 + [translation] * 3 + [heading, mounting, mounting] * len(own))
+    names = _errors_of(arm, per_imu)
+    scale = np.array([tolerances[name.split("_")[0]] for name in names])
 
     def predicted(z: Array) -> Array:
         turned = _corrected(q, names, z * scale, arm.imus)
@@ -484,6 +481,14 @@ def calibrate_imus(
     return ImuCalibration(
         names, fit.x * scale, covariance, tuple(arm.imus), float(rms), used, seen.size - used
     )
+
+
+def _errors_of(arm: Arm, per_imu: bool) -> tuple[str, ...]:
+    """Return the names of what may be off: the frame, and heading and mounting of IMUs up to the last marker."""
+    last = max(arm.markers)
+    own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
+    names = [f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz"]
+    return (*names, *(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y")))
 
 
 def calibrated(orientations: Any, calibration: ImuCalibration) -> Array:
@@ -525,170 +530,3 @@ def _corrected(q: Array, names: tuple[str, ...], z: Array, imus: Sequence[int]) 
     heading[row, 2], mounting[row, 0], mounting[row, 1] = z[6::3], z[7::3], z[8::3]
     before = _product(_exponential(z[:3]), _exponential(heading))
     return _product(_product(before, q), _exponential(mounting))
-
-
-_STEP = 1e-4
-"""Of central differences [rad]: their error is 1e-9 by the third derivative and 1e-12 by rounding."""
-
-
-@dataclass(frozen=True)
-class ImuShape:
-    r"""Estimator of positions along an arm: applies a model to the orientations of one moment.
-
-    The configuration ``q`` holds the positions [m] of points on the arm, one after the other, and the
-    readings ``u`` the quaternions XYZW of its IMUs. An IMU is missing if one of its four readings is missing,
-    or all are zero, as a broken IMU sends. It takes the spherical linear interpolation of its neighbours
-    along the arc; beyond the last IMU the orientation stays. Nothing is carried from one time step to the
-    next.
-
-    The covariance follows by linear propagation. Every IMU has an independent error of ``noise`` about each
-    axis. The orientation of a missing one takes a random walk along the arc from its neighbours: between two
-    at distances :math:`a, b` its variance about each axis is :math:`\varrho^2 ab/(a + b)`, beyond the last
-    one it is :math:`\varrho^2 a`. The error of the model itself is not part of the covariance.
-
-    Parameters
-    ----------
-    model
-        :func:`rigid_body`, :func:`pcc_extended`, :func:`exact_arcs` or one of your own.
-    arm
-        The IMUs that the readings come from, and the links.
-    arc_lengths
-        Distances along the arm [m] of the points.
-    noise
-        Standard deviation of an orientation about each axis [rad]: one number for all IMUs but the base
-        (number 0), which is exact, or one per IMU.
-    roughness
-        :math:`\varrho` [rad/sqrt(m)]. The default is assumed: 14 degrees over 80 mm, a median angle between
-        adjacent IMUs in the recordings of the paper.
-
-    Raises
-    ------
-    InputError
-        If the arm has no such points, or a noise or the roughness cannot be used.
-
-    Examples
-    --------
-    The middle and the tip of a quarter circle [m]:
-
-    >>> from repro import Arm, ImuShape, exact_arcs
-    >>> arm = Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=16)
-    >>> method = ImuShape(exact_arcs, arm, [0.32, 0.64], noise=0.01)
-    >>> _, estimate = method.step(method.init(), [0, 0, 0, 1, 0, np.sqrt(0.5), 0, np.sqrt(0.5)])
-    >>> estimate.q.round(4) + 0.0
-    array([0.1193, 0.    , 0.2881, 0.4074, 0.    , 0.4074])
-    """
-
-    model: ShapeModel
-    arm: Arm
-    arc_lengths: Sequence[float]
-    noise: float | Sequence[float]
-    roughness: float = 0.86
-
-    def __post_init__(self) -> None:
-        require(isinstance(self.arm, Arm), "arm", "ImuShape", "an Arm", type(self.arm).__name__)
-        upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(self.arm.imus), 1))
-        found = np.shape(self.model(upright, self.arm, self.arc_lengths))
-        object.__setattr__(self, "arc_lengths", tuple(np.atleast_1d(self.arc_lengths).tolist()))
-        three = found == (len(self.arc_lengths), 3)
-        require(three, "model", "ImuShape", "one that returns a position per arc length", f"shape {found}")
-        noise = numbers(self.noise, "noise", "ImuShape", () if np.ndim(self.noise) == 0 else (len(upright),))
-        good = (noise >= 0).all() and noise.any()
-        require(good, "noise", "ImuShape", "positive [rad]; for some IMUs it may be 0", self.noise)
-        require(
-            0 < self.roughness < math.inf, "roughness", "ImuShape", "positive [rad/sqrt(m)]", self.roughness
-        )
-
-    def init(self, q0: Any = None, seed: int = 0) -> None:
-        """Return the state: there is none, and neither ``q0`` nor the seed has an effect."""
-        if q0 is not None:
-            start(q0, 3 * len(self.arc_lengths), "ImuShape")
-
-    def step(
-        self, state: None, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
-    ) -> tuple[None, Estimate]:
-        """Return positions by the quaternions ``u`` ``[..., 4 imus]``.
-
-        ``u_hat`` holds the quaternions that were used: of unit length, and filled where an IMU is missing.
-        ``missing`` counts four readings for each such IMU; ``details["missing_imus"]`` says which. Where
-        coordinates are ``known`` the others are corrected by what the covariance says about them.
-
-        Raises
-        ------
-        InputError
-            If there are not four readings per IMU, a quaternion is not unit within 1e-3, or no IMU is left.
-        """
-        arm, imus = self.arm, len(self.arm.imus)
-        u = incoming(u, mask, "ImuShape", 4 * imus)
-        u = u.reshape(*u.shape[:-1], imus, 4)
-        missing = ~np.isfinite(u).all(axis=-1) | ~u.any(axis=-1)
-        require(
-            not missing.all(axis=-1).any(),
-            "u",
-            "ImuShape",
-            "at least one IMU with four readings that are not missing",
-            "none",
-        )
-        used = np.where(missing[..., None], [0.0, 0.0, 0.0, 1.0], u)
-        used = unit_quaternions(used, "u", "ImuShape", (..., imus, 4))
-        gaps, s = bool(missing.any()), np.array(arm.imu_arcs)
-        before, after = _neighbours(missing)
-        used = _filled(used, before, after, s) if gaps else used
-        known = known_coordinates(known, 3 * len(self.arc_lengths), "ImuShape")
-        q = self._positions(used)
-
-        steps = _exponential(_STEP * np.concatenate([np.eye(3), -np.eye(3)]))
-        steps = steps.reshape(6, *(1,) * (used.ndim - 2), 4)
-        # Slopes of the positions by a turn of every IMU about every axis of the world.
-        slopes = np.empty((imus, 3, *q.shape))
-        for k in range(imus):
-            turned = np.broadcast_to(used, (6, *used.shape)).copy()
-            turned[..., k, :] = _product(steps, used[..., k, :])
-            if gaps:  # an IMU that is there also turns those that are filled from it
-                lost = missing[..., k, None, None]
-                turned = np.where(lost, turned, _filled(turned, before, after, s))
-            moved = self._positions(turned)
-            slopes[k] = (moved[:3] - moved[3:]) / (2 * _STEP)
-        base = (np.array(arm.imus) == 0) & (np.ndim(self.noise) == 0)
-        noise = np.where(missing | base, 0.0, np.square(self.noise))[..., None] * np.eye(imus)
-        turns = noise + self.roughness**2 * _random_walk(before, after, s) if gaps else noise
-        J = np.moveaxis(slopes, (0, 1), (-1, -2))  # [..., n_q, axis, IMU]
-        C = np.einsum("...xai,...yai->...xy", J @ turns[..., None, :, :], J)
-        if known is not None:
-            q, C = conditioned(q, C, known)
-        left_out = 4 * missing.sum(axis=-1)
-        u_hat = used.reshape(*used.shape[:-2], 4 * imus)
-        # The models follow every orientation, so that no residual is left.
-        return None, Estimate(q, C, u_hat, 0.0 * left_out, 0 * left_out, left_out, {"missing_imus": missing})
-
-    def _positions(self, orientations: Array) -> Array:
-        points = self.model(orientations, self.arm, self.arc_lengths)
-        return points.reshape(*points.shape[:-2], -1)
-
-
-def _neighbours(missing: Array) -> tuple[Array, Array]:
-    """Return the nearest IMUs that are there before and after each; one of them for both at the ends."""
-    n = missing.shape[-1]
-    before = np.maximum.accumulate(np.where(missing, -1, np.arange(n)), axis=-1)
-    after = np.minimum.accumulate(np.where(missing, n, np.arange(n))[..., ::-1], axis=-1)[..., ::-1]
-    return np.where(before < 0, after, before), np.where(after == n, before, after)
-
-
-def _filled(q: Array, before: Array, after: Array, s: Array) -> Array:
-    """Return orientations of which every missing one is interpolated between its neighbours."""
-    at = (np.broadcast_to(k, q.shape[:-1])[..., None] for k in (before, after))
-    a, b = (np.moveaxis(np.take_along_axis(q, k, axis=-2), -1, 0) for k in at)
-    gap = s[after] - s[before]
-    b, angle = _shorter(a, b)
-    share = np.where(gap > 0, (s - s[before]) / np.where(gap > 0, gap, 1.0), 0.0)
-    return np.moveaxis(_between(a, b, angle, share), 0, -1)
-
-
-def _random_walk(before: Array, after: Array, s: Array) -> Array:
-    """Return the covariance ``[..., imus, imus]`` per axis of a random walk pinned at IMUs that are there."""
-    same = (before[..., :, None] == before[..., None, :]) & (after[..., :, None] == after[..., None, :])
-    first, last, off = s[before][..., None], s[after][..., None], s - s[before]
-    inside = (np.minimum(s[:, None], s) - first) * (last - np.maximum(s[:, None], s))
-    inside = inside / np.where(last > first, last - first, 1.0)
-    both = np.minimum(np.abs(off[..., :, None]), np.abs(off[..., None, :]))
-    beyond = both * (off[..., :, None] * off[..., None, :] > 0)  # on one side of the last IMU
-    return same * np.where(last > first, inside, beyond)

@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
-    Trajectory,
     described,
     each,
     incoming,
     known_coordinates,
-    run,
+    parts_of,
     start,
 )
 from repro.estimators.drift import Drifting, DriftModel
@@ -59,7 +59,7 @@ class MotionModel:
     """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
 
     needs_time = True
-    watched = True
+    angles: FreeAngles
 
     def motion(self, tau: float) -> tuple[Array, Array]:
         """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds."""
@@ -80,6 +80,18 @@ class MotionModel:
         x, n = np.concatenate([state.q, state.velocity], axis=-1) @ F.T, state.q.shape[-1]
         P = F @ state.covariance @ F.T + Q
         return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + np.swapaxes(P, -1, -2)), t)
+
+    def near(self, state: KalmanState, reference: Array) -> KalmanState:
+        """Return the same state with angles next to those of a reference ``[..., n_q]``."""
+        return state
+
+    def wrapped(self, state: KalmanState) -> KalmanState:
+        """Return the same state with angles within their bounds."""
+        return state
+
+    def by_bounds(self, C: Array) -> Array:
+        """Return covariances ``[..., n_q, n_q]`` that leave no direction more open than bounds do."""
+        return C
 
 
 class KalmanFilter(MotionModel):
@@ -201,6 +213,15 @@ class KalmanFilter(MotionModel):
             grown = np.where(self.drift_rate > 0, -np.expm1(-2 * self.drift_rate * tau) / (2 * rate), tau)
             F[e, e], Q[e, e] = np.exp(-self.drift_rate * tau), self.drift_walk**2 * grown
         return F, Q
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the coordinates."""
+        return self._update.lower[: self.n_q], self._update.upper[: self.n_q]
+
+    def parts_of(self, n_readings: int) -> tuple[Array, Array]:
+        """Return which part every reading belongs to, and which readings never stay the same ``[s]``."""
+        return parts_of(self.robot, self._update.noise, n_readings)
 
     def widened(self, share: float) -> KalmanFilter:
         """Return this filter with bounds that are a share of their width farther out on each side."""
@@ -352,7 +373,7 @@ def _update(x, P, q, C, information):
                 P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
 
 
-def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[Any]:
+def smoothed(method: MotionModel, states: Sequence[Any], restarted: Any = None) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and
@@ -383,13 +404,12 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
     require((np.diff(t) >= 0).all(), "states", "smoothed", "in the order of time", "others")
     x = np.stack([np.concatenate([state.q, state.velocity], axis=-1) for state in states])
     P, n = np.stack([state.covariance for state in states]), states[0].q.shape[-1]
-    turns = getattr(method, "angles", None)
     for k in reversed(range(len(t) - 1)):
         gain, mean, before = _link(method.motion(t[k + 1] - t[k]), x[k], P[k])
         if restarted is not None:
             gain = gain * ~restarted[k + 1][..., None, None]
         y, C = x[k + 1], P[k + 1]
-        if turns:  # the later state may have been wrapped
+        if method.angles:  # the later state may have been wrapped
             later = method.near(
                 states[k + 1]._replace(q=y[..., :n], velocity=y[..., n:], covariance=C), mean[..., :n]
             )
@@ -401,7 +421,7 @@ def smoothed(method: Any, states: Sequence[Any], restarted: Any = None) -> list[
         state._replace(q=y[..., :n], velocity=y[..., n:], covariance=C)
         for state, y, C in zip(states, x, P, strict=True)
     ]
-    return [method.wrapped(state) for state in found] if hasattr(method, "wrapped") else found
+    return [method.wrapped(state) for state in found]
 
 
 def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array, Array]:
@@ -417,56 +437,3 @@ def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array
     )
     gain = np.linalg.solve(scaled, cross * scale[..., :, None]) * scale[..., :, None]
     return np.swapaxes(gain, -1, -2), x @ F.T, before
-
-
-def smooth(
-    method: Any,
-    readings: Any,
-    q0: Any = None,
-    *,
-    times: Any = None,
-    rate_hz: float | None = None,
-    mask: Any = None,
-    known: Any = None,
-    progress: str | None = None,
-    monitor: str | None = "auto",
-) -> Trajectory:
-    """Run a filter over recorded readings, then backwards: the sibling of :func:`repro.track`.
-
-    The predicted readings, ``chi2``, the details, ``status`` and ``suspects`` are those of the filter.
-
-    Parameters
-    ----------
-    method
-        A Kalman or rod filter.
-    readings, q0, times, rate_hz, mask, known, progress, monitor
-        As for :func:`repro.track`.
-
-    Raises
-    ------
-    InputError
-        If the estimator does not say how its state moves, or as :func:`repro.track`.
-
-    Examples
-    --------
-    A coordinate that was read at both ends of a second was halfway in its middle:
-
-    >>> from repro import KalmanFilter
-    >>> method = KalmanFilter(lambda q: q, [-9.0], [9.0], noise=1e-4, acceleration=[1.0], velocity=[100.0])
-    >>> smooth(method, [[0.0], [np.nan], [1.0]], [0.0], times=[0.0, 0.5, 1.0]).q.ravel().round(3) + 0.0
-    array([0. , 0.5, 1. ])
-    """
-    require(hasattr(method, "motion"), "method", "smooth", "a Kalman or rod filter", type(method).__name__)
-    found, states = run(
-        method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
-        monitor=monitor, owner="smooth",
-    )  # fmt: skip
-    details = found.details
-    back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
-    q = np.stack([state.q[..., :n] for state in back])
-    P = np.stack([state.covariance[..., :n, :n] for state in back])
-    P = P * details["growth"][..., None, None] if "growth" in details else P
-    if hasattr(method, "by_bounds"):
-        P = method.by_bounds(P)
-    values = {**vars(found), "q": q, "covariance": P}
-    return Trajectory(**values)

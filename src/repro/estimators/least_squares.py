@@ -34,6 +34,7 @@ from repro.estimators.base import (
     information_of_bounds,
     known_coordinates,
     model_of,
+    parts_of,
     start,
 )
 from repro.sensing import difference, evaluate, room_for, unpack
@@ -93,8 +94,7 @@ class LevenbergMarquardt:
     (array([0.5]), array([[0.005]]))
     """
 
-    watched = True
-    """Whether a monitor goes with it in :func:`repro.track`."""
+    needs_time = False
 
     def __init__(
         self,
@@ -134,6 +134,15 @@ class LevenbergMarquardt:
         """What the bounds say of every coordinate: the inverse of its variance between them."""
         self._middle = (lower + upper) / 2
         self._settings: Array | None = None
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the coordinates."""
+        return self.lower, self.upper
+
+    def parts_of(self, n_readings: int) -> tuple[Array, Array]:
+        """Return which part every reading belongs to, and which readings never stay the same ``[s]``."""
+        return parts_of(self.robot, self.noise, n_readings)
 
     def widened(self, share: float) -> LevenbergMarquardt:
         """Return this estimator with bounds that are a share of their width farther out on each side."""

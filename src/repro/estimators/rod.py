@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.legendre import legval
 
+from repro.angles import FreeAngles
+from repro.chain import arc_functions
 from repro.common import Array, kernel, numbers, require
 from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, model_of, start
 from repro.estimators.kalman import KalmanState, MotionModel
-from repro.robot import arc_functions
 from repro.sensing import rotation_vector
 
 _KINDS = {"pose": 6, "orientation": 3, "gyroscope": 3, "model": None}
@@ -291,6 +292,8 @@ class RodFilter(MotionModel):
     (array([0.3, 0. ]), array([0.001, 0.001]))
     """
 
+    robot, bounds = None, None
+
     def __init__(
         self,
         rod: Rod,
@@ -320,6 +323,7 @@ class RodFilter(MotionModel):
         self._std = np.append(base, _positive(strain_std, "strain_std", owner, rod.n_q))
         rates = _positive(base_rate, "base_rate", owner, len(base)), _positive(rate, "rate", owner, rod.n_q)
         self._rate, self.n_q = np.concatenate(rates), len(self._std)
+        self.angles = FreeAngles((), -self._std, self._std)
         lasting = [sensor.lasting for sensor in self.sensors]
         rates = [np.full(len(sensor.lasting), 1 / sensor.lasting_time_s) for sensor in self.sensors]
         self._lasting_std, self._lasting_rate = np.concatenate(lasting), np.concatenate(rates)
@@ -336,6 +340,13 @@ class RodFilter(MotionModel):
             self.n_q + np.cumsum([0, *(len(std) for std in lasting)]),
             np.concatenate([sensor.white for sensor in self.sensors]) ** 2,
         )
+
+    def parts_of(self, n_readings: int) -> tuple[Array, Array]:
+        """Return which sensor every reading belongs to; no reading stays the same ``[s]``."""
+        return np.repeat(np.arange(len(self.sensors)), np.diff(self._rows)), np.ones(n_readings, dtype=bool)
+
+    def widened(self, share: float) -> None:
+        """Return nothing: there are no bounds."""
 
     def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
         """Return the state at ``q0``, or at a straight rod: at rest, without errors. Nothing is random."""

@@ -1,14 +1,4 @@
-r"""Configurations from motion capture: which shape of the robot fits measured bodies or markers best.
-
-A body :math:`i` on the robot has the pose :math:`T_i(q)\,M_i` in the base frame and :math:`B\,T_i(q)\,M_i` in that of
-the cameras. We minimise, for every shape by itself,
-
-.. math:: \sum_i \frac{\|p_i - \hat p_i\|^2}{\sigma_p^2} + \frac{\|\log(R_i \hat R_i^T)\|^2}{\sigma_R^2}
-
-over :math:`q` by Levenberg-Marquardt; the slopes of positions and turns are twists of the robot. The rig's constants
-:math:`B` and :math:`M_i` are fitted over many shapes at once by Gauss-Newton, with the shapes eliminated: each of
-them is at its own optimum, and only its Schur complement counts.
-"""
+"""Motion capture in files: what Motive, Vicon and Qualisys export, and the configurations that it shows."""
 
 from __future__ import annotations
 
@@ -16,7 +6,6 @@ import csv
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -25,423 +14,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, bad_input, is_table, numbers, printable, require
-from repro.estimators.base import Trajectory
+from repro.common import Array, bad_input, numbers, printable, require
 from repro.estimators.calibration import outside
-from repro.estimators.least_squares import CHI2, LevenbergMarquardt
-from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions
-from repro.sensing import _batch_difference
-from repro.tables import Table, configurations_of, read_table, text_of
+from repro.estimators.fit_shape import fit_shape, measured_poses, places_of
+from repro.parts import Assembly
+from repro.tables import POSITION_FIRST, Table, bodies_of, configurations_of, read_table, text_of
 
-_RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
-"""Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""
-_RIG_SHAPES, _RIG_ITERATIONS, _TOLERANCE = 400, 60, 1e-6
+_SHOWN = 200
+"""Shapes by which the axes of the base are found."""
 _LENGTH_UNITS = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0}
+_DECIMAL_COMMA = re.compile(r"^([-+\d: ,]*\d),(\d+)$", re.ASCII)
+"""In a number or a time of day."""
 _POSE = [("Rotation", axis) for axis in "XYZW"] + [("Position", axis) for axis in "XYZ"]
-_POSITION_FIRST = [4, 5, 6, 0, 1, 2, 3]
-_EXPORTS = ("Format Version", "Segments", "Objects", "NO_OF_FRAMES")
-"""What files of Motive, Vicon and Qualisys begin with."""
+_OF_VICON = ("Segments", "Objects", "Joints", "Trajectories", "Devices", "Model Outputs")
+_EXPORTS = ("Format Version", "NO_OF_FRAMES", *_OF_VICON)
+"""What files of Motive, Qualisys and Vicon begin with; the parts of a file of Vicon."""
 _FROZEN, _JUMP_STEPS, _FRAME_S, _ORIGIN = 20, 5.0, 0.5, 5e-3
 """Frames are frozen if more are equal in a row and the next step is so many usual ones; rows farther apart than this
 are no frames [s]; a body that is mostly farther from the origin does not go there [m]."""
 _SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
 """Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
 may miss them by this share of the robot's length."""
+_TURNED = math.radians(25.0)
+"""A body that is mostly turned more against the robot's kinematics was defined in other axes."""
 _EQUAL = 5e-5
 """Two ways of the axes fit alike if their misfits differ by no more than a tenth and this [m]."""
-
-
-@dataclass(frozen=True)
-class Rig:
-    """What stays the same over all shapes.
-
-    Parameters
-    ----------
-    base
-        Pose ``T_capture_base`` ``[4, 4]`` of the robot's base in the frame of the measured poses.
-    bodies
-        Poses ``T_place_body`` ``[n, 4, 4]`` of the bodies where they are mounted.
-    deviation
-        Standard deviations ``[1 + n, 6]`` of base and bodies: along their own axes [m], then about them [rad]; zero
-        where they were not fitted.
-    """
-
-    base: Array
-    bodies: Array
-    deviation: Array
-
-
-@dataclass(frozen=True, repr=False)
-class FittedShapes(Trajectory):
-    """Configurations, as over time in a :class:`.Trajectory`, and what they leave of the measured poses.
-
-    Parameters
-    ----------
-    residuals
-        Measured less fitted ``[t, n, 6]`` in the base frame: positions [m], then rotation vectors [rad].
-    rig
-        The rig that was given or fitted.
-    """
-
-    residuals: Array = field(default_factory=lambda: np.zeros((0, 0, 6)))
-    rig: Rig | None = None
-
-    @property
-    def residual(self) -> Array:
-        """Root mean square distance of measured and fitted positions, of every shape ``[t]`` [m]."""
-        return _size(self.residuals[..., :3], -1)
-
-    def to_frame(self) -> Any:
-        """Return the data frame of :meth:`.Trajectory.to_frame` with the residual, ``residual_mm``."""
-        return super().to_frame().assign(residual_mm=1e3 * self.residual)
-
-    def __repr__(self) -> str:
-        """Return the lines of a trajectory, and the residual."""
-        distance = 1e3 * _size(self.residuals[..., :3], None)
-        return f"{super().__repr__()}\nresidual, root mean square: {distance:.2g} mm"
-
-
-def _size(vectors: Array, axis: int | None) -> Array:
-    """Root mean square length of those that are there; NaN where none is."""
-    return np.sqrt(np.ma.filled(np.ma.masked_invalid(np.square(vectors).sum(-1)).mean(axis), np.nan))
-
-
-class _Bodies:
-    """Poses of places as a sensor model: all positions, then all rotation vectors, in the base frame."""
-
-    compiled = False
-
-    def __init__(self, robot: Robot, places: Sequence[Place]) -> None:
-        self.robot, self.places = robot, tuple(places)
-        self.n_q, self.n_readings, self.rotations = robot.n_q, 6 * len(self.places), robot.rotations
-
-    def __call__(self, q: Array) -> Array:
-        return self.linearise(q)[0]
-
-    def linearise(self, q: Array) -> tuple[Array, Array]:
-        T, X = self.robot.motion(q, self.places)
-        p, turns = T[..., None, :3, 3], X[..., :3]
-        moves = X[..., 3:] + np.cross(turns, p)
-        J = np.concatenate([moves, turns], axis=1)  # [n, 2 b, n_q, 3]
-        u = np.concatenate([T[..., :3, 3], _rotation_vectors(T[..., :3, :3])], axis=1)
-        return u.reshape(len(q), -1), np.swapaxes(J, 2, 3).reshape(len(q), -1, self.n_q)
-
-    def difference(self, u: Array, u_hat: Array) -> Array:
-        r = np.empty(u_hat.shape)
-        _batch_difference(self.n_readings // 2, np.ascontiguousarray(u), np.ascontiguousarray(u_hat), r)
-        return r
-
-
-def _rotation_vectors(R: Array) -> Array:
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
-
-
-def fit_shape(
-    robot: Robot,
-    poses: Any,
-    at: Sequence[Any] | None = None,
-    *,
-    times: Any = None,
-    noise: tuple[float, float] = (0.5e-3, 0.01),
-    start: Any = None,
-    rig: Rig | None = None,
-    fit_rig: bool = False,
-) -> FittedShapes:
-    r"""Fit the shapes of a robot to motion capture.
-
-    Parameters
-    ----------
-    robot
-        What is to be fitted. Coordinates with equal bounds stay there; other bounds do not count.
-    poses
-        Measured bodies, one row per shape: poses ``[t, n, 4, 4]``, positions and quaternions XYZW ``[t, n, 7]``, or
-        markers ``[t, n, 3]`` [m]; NaN for what is missing, a whole body or its rotation alone. Without the dimension
-        of time it is one shape. A data frame or the path of a table is read by the names of its columns.
-    at
-        Where each body is: something that is mounted (it has a ``place``), or ``(segment, at)`` [m], or
-        ``(segment, at, position)`` for a marker beside the backbone, with its place in the cross-section [m]. The
-        tips of all segments if not given; with one body more, the first is on the base. What is measured on the base
-        (segment 0, a whole pose) may move: all other bodies are taken relative to it.
-    times
-        Time of each row [s].
-    noise
-        Standard deviations of a measured position along each axis [m] and of a rotation about each axis [rad].
-    start
-        Configuration from which every shape is searched; that of the robot, else straight, if not given.
-    rig
-        Frames of base and bodies, such as an earlier fit found; all the identity if not given.
-    fit_rig
-        Fit them over all shapes, from ``rig`` if given. Priors of 10 mm and 0.2 rad hold what the shapes do not
-        determine, and ``rig.deviation`` tells it: beside constant curvature a tilt of base and bodies is a bend.
-
-    Returns
-    -------
-    FittedShapes
-        ``q``, ``covariance``, ``residuals`` and ``rig``. Coordinates beyond the last body that was seen are NaN, with
-        an infinite variance. If the residuals are larger than the noise in most shapes, the covariances grow by them.
-
-    Raises
-    ------
-    InputError
-        If the bodies do not fit ``at``, or are no rigid poses.
-
-    Examples
-    --------
-    One segment that ends at the tip of a quarter circle, known by a marker on its tip:
-
-    >>> from repro import ConstantCurvature, Robot, fit_shape
-    >>> robot = Robot([ConstantCurvature(length=0.110, radius=0.022)])
-    >>> found = fit_shape(robot, [[0.0700282, 0.0, 0.0700282]])
-    >>> found.q.round(6) + 0.0
-    array([[0.034558, 0.      , 0.      ]])
-    """
-    owner = "fit_shape"
-    if is_table(poses):
-        table = read_table(poses)
-        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., _POSITION_FIRST]
-        times = table.times if times is None else times
-    T = _measured(poses, owner)
-    places = _places(robot, at, T.shape[1], owner)
-    require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
-    require(robot.n_q, "robot", owner, "one with a coordinate", "none")
-    for k, where in enumerate(places):
-        if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any():  # all others as if this body never moved
-            mount = robot.poses(np.zeros(robot.n_q), [places.pop(k)])[0]
-            T = mount @ np.linalg.inv(T[:, k, None]) @ np.delete(T, k, axis=1)
-            break
-    n = T.shape[1]
-    require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
-    first = rig is None
-    rig = Rig(np.eye(4), np.tile(np.eye(4), (n, 1, 1)), np.zeros((1 + n, 6))) if rig is None else rig
-    require(rig.bodies.shape == (n, 4, 4), "rig", owner, f"of {n} bodies", f"{len(rig.bodies)}")
-    search = _Search(robot, places, noise, start, owner)
-    if fit_rig:
-        if first:
-            rig = replace(rig, base=_first_base(robot.poses(search.q0, places), T, robot.length / 2))
-        shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
-        rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
-    u, places = _readings(T, rig), search.mounted(rig)
-    far = float(np.nanmedian(np.linalg.norm(u[:, : 3 * n].reshape(-1, 3), axis=-1)))
-    expected = "in metres and in the frame of the base (or fit_rig=True)"
-    loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
-    require(
-        loose or not far > 3 * robot.length, "poses", owner, expected, f"positions {far:.3g} m from the base"
-    )
-    q, u_hat, C, chi2, used = search.best(u, places)
-    # Coordinates of segments that no body was seen on or beyond.
-    last = [where.segment - (where.at == 0 < robot.segments[where.segment - 1].length) for where in places]
-    unknown = search.segment > np.where(np.isfinite(u[:, : 3 * n : 3]), last, 0).max(1)[:, None]
-    dof = np.maximum(used - (search.free & ~unknown).sum(1), 0)
-    if (dof > 0).any():
-        C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
-    both = unknown[:, :, None] | unknown[:, None, :]
-    q, C = np.where(unknown, np.nan, q), np.where(both, np.where(np.eye(robot.n_q) == 1, np.inf, np.nan), C)
-    at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
-    r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
-    return FittedShapes(
-        at_times, q, C, u_hat, chi2, dof, u.shape[1] - used, {},
-        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig, robot=robot,
-    )  # fmt: skip
-
-
-def _measured(poses: Any, owner: str) -> Array:
-    """Return poses ``[t, n, 4, 4]``, NaN for what is missing: a whole body or its rotation."""
-    values = numbers(poses, "poses", owner, finite=False)
-    if values.shape[-2:] == (4, 4) and values.ndim in (3, 4):
-        T = values.reshape(-1, *values.shape[-3:]).copy()
-    elif values.shape[-1:] in ((3,), (7,)) and values.ndim in (2, 3):
-        rows = values.reshape(-1, *values.shape[-2:])
-        T = np.full((*rows.shape[:2], 4, 4), np.nan)
-        T[..., :3, 3] = rows[..., :3]
-        there = np.isfinite(rows[..., 3:]).all(-1) & (values.shape[-1] == 7)
-        if there.any():
-            T[there, :3, :3] = rotation_matrix(unit_quaternions(rows[there, 3:], "poses", owner, (None, 4)))
-    else:
-        expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3)"
-        raise bad_input("poses", owner, expected, f"shape {values.shape}")
-    require(T.size, "poses", owner, "of at least one shape and one body", f"shape {values.shape}")
-    T[~np.isfinite(T[..., :3, :3]).all((-2, -1)), :3, :3] = np.nan
-    T[~np.isfinite(T[..., :3, 3]).all(-1), :3] = np.nan
-    R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-2, -1))
-    for k, body in np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0)):
-        words = f"a matrix that is none in row {k + 1}, body {body + 1}"
-        raise bad_input("poses", owner, "rotations and positions [m]", words)
-    T[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
-    return T
-
-
-def _places(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
-    g = len(robot.segments)
-    if at is None:
-        expected = (
-            f"given unless there are {g} bodies, one on the tip of each segment, or one more on the base"
-        )
-        require(n in (g, g + 1), "at", owner, expected, f"{n} bodies without it")
-        tips = [point_on(i, segment.length) for i, segment in enumerate(robot.segments, 1)]
-        return tips if n == g else [point_on(0, 0.0), *tips]
-    require(isinstance(at, Sequence), "at", owner, "a list, with a place for each body", at)
-    places = []
-    for item in at:
-        own: Any = getattr(item, "place", item)
-        if not isinstance(own, Place):
-            pair = isinstance(own, Sequence) and len(own) in (2, 3)
-            require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
-            own = place(owner, *list[Any](own))
-        robot.check_place(own, "at")
-        places.append(own)
-    require(len(places) == n, "at", owner, f"one place for each of {n} bodies", f"{len(places)}")
-    return places
-
-
-class _Search:
-    """Finds the best configuration of every shape, and the rig that suits all of them."""
-
-    def __init__(
-        self, robot: Robot, places: list[Place], noise: tuple[float, float], start: Any, owner: str
-    ) -> None:
-        self.robot, self.places, self.noise = robot, places, noise
-        stated: Any = (robot.lower, robot.upper)
-        self.known = np.full(robot.n_q, np.nan)
-        if robot.lower is not None:
-            self.known = np.where(stated[0] == stated[1], stated[0], np.nan)
-        self.free = np.isnan(self.known)
-        q0 = robot.start if start is None else robot.check_q(start, owner)
-        if q0 is None:  # not quite straight: there the slopes by an azimuth are zero
-            q0 = np.where([name.startswith("kappa") for name in robot.coordinates], 0.1, 0.0)
-        self.q0 = np.where(self.free, q0, self.known)
-        self.segment = np.array(
-            [g for g, s in enumerate(robot.segments, 1) for _ in s.coordinates], dtype=int
-        )
-
-    def mounted(self, rig: Rig) -> list[Place]:
-        """Return the places of the bodies themselves."""
-        return [
-            where._replace(
-                rotation=where.rotation @ body[:3, :3], position=where.position + where.rotation @ body[:3, 3]
-            )
-            for where, body in zip(self.places, rig.bodies, strict=True)
-        ]
-
-    def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
-        """Return configurations, readings there, covariance, chi-square and number of readings used."""
-        last = max(where.segment for where in places)
-        robot = Robot(self.robot.segments[:last])
-        n, far = robot.n_q, np.full(robot.n_q, 1e6)
-        noise = np.repeat(self.noise, 3 * len(places))
-        method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
-        known = None if self.free.all() else self.known[:n]
-        found, u_hat, C, status, used = method.fit(q[:, :n], u, known)
-        found = method.angles.wrapped(found)
-        C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
-        return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], used
-
-    def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
-        """Return the same, searched: from the base to the tip one segment more at a time, then all together."""
-        q, both = np.tile(self.q0, (len(u), 1)), u.reshape(len(u), 2, len(places), 3)
-        reached = sorted({where.segment for where in places} - {0})
-        for g in reached[:-1]:
-            up_to = [k for k, where in enumerate(places) if where.segment <= g]
-            q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]
-        found = self.fit(q, u, places, _TOLERANCE)
-        for step in (-1, 1):  # where it fits badly, the shapes before and after are better starts
-            bad = np.flatnonzero(found[3] > 10 * np.median(found[3]) + 1e-6)
-            if len(bad):
-                again = self.fit(found[0][(bad + step) % len(u)], u[bad], places, _TOLERANCE)
-                lower = again[3] < found[3][bad]
-                for old, new in zip(found, again, strict=True):
-                    old[bad[lower]] = new[lower]
-        return found
-
-    def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
-        """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""
-        n = len(self.places)
-        prior = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)
-        prior[:6] *= wider
-        weight = np.repeat(1 / np.array(self.noise), 3 * n)
-        moved, damping, cost, q = np.zeros(len(prior)), 1e-3, math.inf, None
-        trial, delta, H, g, limit, typical = rig, moved, np.eye(len(prior)), moved, np.inf, 1.0
-        for _ in range(_RIG_ITERATIONS):
-            u, places = _readings(T, trial), self.mounted(trial)
-            x, _, _, chi2, used = self.best(u, places) if q is None else self.fit(q, u, places, _TOLERANCE)
-            penalty = np.square((moved + delta) / prior).sum()
-            if np.minimum(chi2, limit).sum() + penalty < cost:
-                rig, q, moved, damping = trial, x, moved + delta, damping / 10
-                dof = np.maximum(used - self.free.sum(), 1)
-                typical = max(1.0, float(np.median(chi2 / dof)))
-                # A shape that fits a hundred times as badly as most counts as one that fits ten times as badly.
-                limit = 10 * typical * dof
-                cost = np.minimum(chi2, limit).sum() + penalty
-                shares = weight * np.sqrt(np.minimum(1.0, limit / np.maximum(chi2, 1e-300)))[:, None]
-                H, g = _eliminated(_Bodies(self.robot, places), x, u, shares, self.free)
-                H, g = H + np.diag(prior**-2), g - moved / prior**2
-            else:
-                damping *= 10
-            delta = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
-            if delta @ H @ delta < 1e-8:
-                break
-            trial = _moved(rig, delta)
-        deviation = np.sqrt(typical * np.diag(np.linalg.inv(H)))
-        return replace(rig, deviation=deviation.reshape(1 + n, 6))
-
-
-def _eliminated(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
-    """Return information and gradient of the rig, with the shapes at their best for every rig."""
-    t, n = len(q), len(model.places)
-    R = model.robot.poses(q, model.places)[..., :3, :3]
-    u_hat, J = model.linearise(q)
-    r = weight * model.difference(u, u_hat)
-    there = np.isfinite(r)
-    p, K = u_hat[:, : 3 * n].reshape(t, n, 3), np.zeros((t, 2, n, 3, 1 + n, 6))
-    K[:, 0, :, :, 0, :3] = K[:, 1, :, :, 0, 3:] = np.eye(3)
-    K[:, 0, :, :, 0, 3:] = np.swapaxes(np.cross(np.eye(3), p[:, :, None]), -1, -2)
-    for k in range(n):
-        K[:, 0, k, :, 1 + k, :3] = K[:, 1, k, :, 1 + k, 3:] = R[:, k]
-    K = np.where(there, weight, 0.0)[..., None] * K.reshape(t, 6 * n, -1)
-    J = np.where(there, weight, 0.0)[..., None] * J[..., free]
-    r = np.where(there, r, 0.0)
-    by_shape = np.linalg.pinv(np.swapaxes(J, 1, 2) @ J, hermitian=True)
-    seen = J @ (by_shape @ (np.swapaxes(J, 1, 2) @ K))  # the part of K that shapes can take over
-    return np.einsum("tsk,tsl->kl", K, K - seen), np.einsum("tsk,ts->k", K - seen, r)
-
-
-def _moved(rig: Rig, delta: Array) -> Rig:
-    """Return a rig whose frames moved along and about their own axes."""
-    each = delta.reshape(-1, 6)
-    T = np.zeros((len(each), 4, 4))
-    T[:, :3, :3], T[:, :3, 3] = Rotation.from_rotvec(each[:, 3:]).as_matrix(), each[:, :3]
-    T[:, 3, 3] = 1.0
-    return Rig(rig.base @ T[0], rig.bodies @ T[1:], rig.deviation)
-
-
-def _readings(T: Array, rig: Rig) -> Array:
-    """Return positions and rotation vectors in the base frame, ``[t, 6 n]``, NaN where nothing was measured."""
-    own = np.linalg.inv(rig.base) @ T
-    turns = np.full((*own.shape[:2], 3), np.nan)
-    there = np.isfinite(own[..., 0, 0])
-    turns[there] = _rotation_vectors(own[there][:, :3, :3])
-    return np.concatenate([own[..., :3, 3], turns], axis=1).reshape(len(T), -1)
-
-
-def _first_base(model_T: Array, T: Array, reach: float) -> Array:
-    """Return the base frame that brings the robot at its start closest to all measured bodies (Kabsch).
-
-    What is ten times as far from the middle as most does not count.
-    """
-    p = T[..., :3, 3]
-    away = np.linalg.norm(p - np.nanmedian(p, axis=(0, 1)), axis=-1)
-    T = np.where((away <= 10 * np.nanmedian(away) + 1e-9)[..., None, None], T, np.nan)
-    seen = np.isfinite(T[..., 0, 3])
-    own = np.broadcast_to(model_T, T.shape)
-    points, model_points = T[seen][:, :3, 3], own[seen][:, :3, 3]
-    axes = np.isfinite(T[..., 0, 0])
-    ours, theirs = (reach * np.swapaxes(X[axes][:, :3, :3], 1, 2).reshape(-1, 3) for X in (own, T))
-    ours = np.concatenate([model_points - model_points.mean(0), ours])
-    theirs = np.concatenate([points - points.mean(0), theirs])
-    base = np.eye(4)
-    base[:3, :3] = Rotation.align_vectors(theirs, ours)[0].as_matrix()
-    base[:3, 3] = points.mean(0) - base[:3, :3] @ model_points.mean(0)
-    return base
 
 
 class Motion(NamedTuple):
@@ -471,10 +68,10 @@ def read_motion(path: Path | str) -> Motion:
     """Read the rigid bodies of a file of motion capture.
 
     The file is an export of OptiTrack Motive (CSV with quaternions, versions 1.20 to 1.29), Vicon (CSV with
-    segments), Qualisys (TSV with bodies, "6D"), or a table with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1,
-    qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions lead from the body to the axes of the file; in Motive y
-    points up. A frame is lost where cells are empty, where a body has no orientation, or lies in the origin without a
-    turn; more than 20 frames that are equal bit for bit and
+    segments, other parts before and after), Qualisys (TSV with bodies, "6D", decimal points or commas), or a table
+    with the columns ``time_s, x_1_mm, y_1_mm, z_1_mm, qx_1, qy_1, qz_1, qw_1`` for body "1" and so on. Quaternions
+    lead from the body to the axes of the file; in Motive y points up. A frame is lost where cells are empty, where a
+    body has no orientation, or lies in the origin without a turn; more than 20 frames that are equal bit for bit and
     end in a jump are frozen and lost too.
 
     Parameters
@@ -519,7 +116,7 @@ def read_motion(path: Path | str) -> Motion:
     path, remarks = Path(path), list[str]()
     require(path.is_file(), "path", "read_motion", "a file that exists", path)
     text, owner = text_of(path, remarks), path.name
-    if not text.startswith(_EXPORTS):
+    if not _is_export(text):
         return _motion_of(read_table(path))
     read = _motive if text.startswith("Format") else _qualisys if text.startswith("NO") else _vicon
     separator = "\t" if read is _qualisys else ","
@@ -534,6 +131,11 @@ def read_motion(path: Path | str) -> Motion:
     for name, poses in motion.bodies.items():
         _clear_lost(poses, f"{name} in {owner}", motion.lines, remarks)
     return motion._replace(remarks=tuple(remarks))
+
+
+def _is_export(text: str) -> bool:
+    """Whether a text is what Motive, Qualisys or Vicon export, by its first cell."""
+    return re.split(r"[,\t\r\n]", text, maxsplit=1)[0] in _EXPORTS
 
 
 def _numbers_of(
@@ -581,15 +183,17 @@ def _motive(rows: list[list[str]], path: Path) -> Motion:
 
 
 def _vicon(rows: list[list[str]], path: Path) -> Motion:
-    owner, end = path.name, next((k for k, row in enumerate(rows) if k > 5 and not any(row)), len(rows))
-    header, wanted = [*rows[:5], *5 * [[""]]], ["RX", "RY", "RZ", "TX", "TY", "TZ"]
+    owner, wanted = path.name, ["RX", "RY", "RZ", "TX", "TY", "TZ"]
+    first = next((k for k, row in enumerate(rows) if row and row[0] in _OF_VICON[:2]), 0)
+    end = next((k for k, row in enumerate(rows) if k > first + 5 and not any(row)), len(rows))
+    header = [*rows[first : first + 5], *5 * [[""]]]
     starts = [k for k in range(len(header[3])) if header[3][k : k + 6] == wanted]
     units = {"rad": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
     known = all(len(own := header[4][k : k + 6]) == 6 and {*own} <= {*units} for k in starts)
     if not (starts and known and re.fullmatch(r"[\d.]+", header[1][0])):
         words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
         raise bad_input("header", owner, words, "another")
-    table, lines = _numbers_of(rows, 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
+    table, lines = _numbers_of(rows, first + 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
     bodies, rate_hz = dict[str, Array](), float(header[1][0])
     for n, k in enumerate(starts):
         own = table[:, 1 + 6 * n : 7 + 6 * n] * [units[unit] for unit in header[4][k : k + 6]]
@@ -601,6 +205,7 @@ def _vicon(rows: list[list[str]], path: Path) -> Motion:
 
 
 def _qualisys(rows: list[list[str]], path: Path) -> Motion:
+    rows = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
     axes = next((k for k, row in enumerate(rows) if row[:2] == ["Frame", "Time"]), 0)
     header = {row[0]: row[1:] for row in rows[:axes] if row}
     names, block = header.get("BODY_NAMES", []), ["X", "Y", "Z"]
@@ -625,32 +230,6 @@ def _qualisys(rows: list[list[str]], path: Path) -> Motion:
         started = None
     rate_hz = float(header.get("FREQUENCY", ["nan"])[0])
     return Motion(path.stem, started, rate_hz, table[:, 0], bodies, lines)
-
-
-def bodies_of(table: Table) -> dict[str, Array]:
-    """Return the bodies of a table ``[t, 7]``, as in a :class:`Motion`; markers have no quaternion.
-
-    Body k has the columns ``x_k_mm, y_k_mm, z_k_mm`` (or ``_m``, ``_cm``) and the quaternion ``qx_k, qy_k, qz_k,
-    qw_k``. Bodies are in the order of their numbers.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
-    found = sorted(
-        {int(name.split("_")[1]) for name in table.names if re.fullmatch(r"q?[xyzw]_[0-9]+", name)}
-    )
-    require(found, "columns", table.owner, "x_1_mm, y_1_mm, z_1_mm and so on", ", ".join(table.columns))
-    whole, bodies = any(name.startswith("qx_") for name in table.names), dict[str, Array]()
-    for body in found:
-        q = [
-            table.scaled(f"q{axis}_{body}")[0] if whole else np.full(len(table.values), np.nan)
-            for axis in "xyzw"
-        ]
-        p = [table.scaled(f"{axis}_{body}", ("mm", "cm", "m"))[0] for axis in "xyz"]
-        bodies[str(body)] = np.stack([*q, *p], axis=1)
-    return bodies
 
 
 def _motion_of(table: Table) -> Motion:
@@ -734,7 +313,7 @@ class Poses(NamedTuple):
 
 
 def read_poses(
-    robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
+    robot: Assembly, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
 ) -> Poses:
     """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
 
@@ -765,7 +344,7 @@ def read_poses(
         If the file has no poses of this robot, or most of them are outside its bounds.
     """
     require(0 <= straight_s < math.inf, "straight_s", "read_poses", "0 or above", straight_s)
-    if isinstance(path, str | Path) and Path(path).is_file() and text_of(Path(path), []).startswith(_EXPORTS):
+    if isinstance(path, str | Path) and Path(path).is_file() and _is_export(text_of(Path(path), [])):
         return _fitted(robot, read_motion(path), Path(path).name, bodies, straight_s, covariance)
     table = read_table(path)
     if not set(robot.coordinates) & set(table.names):
@@ -793,7 +372,7 @@ def read_poses(
 
 
 def _clear_outside(
-    robot: Robot,
+    robot: Assembly,
     q: Array,
     owner: str,
     lines: Sequence[int],
@@ -832,16 +411,16 @@ def _at_rest(T: Array, times: Array, straight_s: float, names: Sequence[str], ow
     return rest
 
 
-def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array], Array]:
+def _straightened(robot: Assembly, T: Array, rest: Array) -> tuple[dict[int, Array], Array]:
     """Return poses of the ends of segments, straight at rest, and the rotation of the base.
 
     The base has its axes along those of the capture, in whichever of 24 ways fits the robot best, or leans from them
     to the line of the bodies at rest. It is at the origin, or where the last end is at rest by its length away. Ways
     that fit alike are turns about the straight robot [deg]: only readings tell them apart.
     """
-    straight = robot.poses(np.zeros(robot.n_q), _places(robot, None, len(rest), "read_poses"))
+    straight = robot.poses(np.zeros(robot.n_q), places_of(robot, None, len(rest), "read_poses"))
     tip, moves, seen = rest[-1, :3, 3], T @ np.linalg.inv(rest), np.isfinite(T[:, :, 0, 3]).any(axis=1)
-    shown = np.flatnonzero(seen)[np.linspace(0, seen.sum() - 1, _RIG_SHAPES // 2).astype(int)]
+    shown = np.flatnonzero(seen)[np.linspace(0, seen.sum() - 1, _SHOWN).astype(int)]
     ways = sorted(Rotation.create_group("O").as_matrix(), key=lambda R: (-round(R[0, 0]), -round(R.trace())))
     line = tip - rest[0, :3, 3] * (len(rest) > 1)
     line = line / np.linalg.norm(line).clip(1e-12)
@@ -869,25 +448,13 @@ def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array]
 
 
 def _fitted(
-    robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
+    robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
 ) -> Poses:
     """Return the configurations that fit bodies best."""
-    n, there = len(robot.segments), list(motion.bodies)
-    short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
-    names = [short.get(name, name) for name in bodies] or there
-    known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
-    expected = f"one on the end of each of {n} segments, from base to tip, or {n + 1} with the base first"
-    expected += f" (the file has {', '.join(there)})"
-    require(known, "bodies", owner, expected, ", ".join(names) or "none")
-    poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., _POSITION_FIRST]
-    if motion.up == "y":
-        poses = poses[..., [0, 2, 1, 3, 5, 4, 6]] * [1, -1, 1, 1, -1, 1, 1]
-    T = _measured(poses, owner)
-    if len(names) > n:
-        T = np.linalg.inv(T[:, :1]) @ T[:, 1:]
+    names, T = _bodies_on_ends(robot, motion, owner, bodies)
     ways, remarks = {0: T}, list(motion.remarks)
     if straight_s > 0:
-        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names[-n:], owner))
+        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names, owner))
         T = ways[0]
         axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
         x, _, z = (
@@ -897,6 +464,7 @@ def _fitted(
             f"By the axes of {owner}, the straight robot points along {z}, and x of its base along {x}."
         )
     require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
+
     shapes = fit_shape(robot, T, times=motion.times)
     q, miss = shapes.q.copy(), shapes.residual
     typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
@@ -905,6 +473,8 @@ def _fitted(
     hint += "A straight start tells the axes: --straight-s)"
     expected = f"those that the robot can take, {hint}"
     require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
+    _check_turns(shapes.residuals[..., 3:], names, owner)
+
     far = miss > most
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
@@ -912,6 +482,34 @@ def _fitted(
     found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
     found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
     return Poses(motion.times, q, motion.lines, tuple(remarks), found)
+
+
+def _bodies_on_ends(
+    robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str]
+) -> tuple[list[str], Array]:
+    """Return the names of the bodies on the ends of the segments, and their poses ``[t, n, 4, 4]``, z up."""
+    n, there = len(robot.segments), list(motion.bodies)
+    short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
+    names = [short.get(name, name) for name in bodies] or there
+    known = len(names) in (n, n + 1) and len({*names}) == len(names) and {*names} <= {*there}
+    expected = f"one on the end of each of {n} segments, from base to tip, or {n + 1} with the base first"
+    expected += f" (the file has {', '.join(there)})"
+    require(known, "bodies", owner, expected, ", ".join(names) or "none")
+    poses = np.stack([motion.bodies[name] for name in names], axis=1)[..., POSITION_FIRST]
+    if motion.up == "y":
+        poses = poses[..., [0, 2, 1, 3, 5, 4, 6]] * [1, -1, 1, 1, -1, 1, 1]
+    T = measured_poses(poses, owner)
+    return names[-n:], np.linalg.inv(T[:, :1]) @ T[:, 1:] if len(names) > n else T
+
+
+def _check_turns(turns: Array, names: Sequence[str], owner: str) -> None:
+    """Refuse bodies whose axes are mostly turned against the ends of the segments ``[t, n, 3]`` [rad]."""
+    for name, own in zip(names, np.swapaxes(turns, 0, 1), strict=True):
+        sizes = np.linalg.norm(own[np.isfinite(own[:, 0])], axis=-1)
+        turned = float(np.median(sizes)) if len(sizes) else 0.0
+        expected = "turned as the end of its segment (a straight start takes its own turn away: --straight-s)"
+        received = f"turned against it by {math.degrees(turned):.0f} deg"
+        require(turned < _TURNED, f"body {name}", owner, expected, received)
 
 
 JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])

@@ -1,0 +1,457 @@
+r"""Configurations from motion capture: which shape of the robot fits measured bodies or markers best.
+
+A body :math:`i` on the robot has the pose :math:`T_i(q)\,M_i` in the base frame and :math:`B\,T_i(q)\,M_i` in that of
+the cameras. We minimise, for every shape by itself,
+
+.. math:: \sum_i \frac{\|p_i - \hat p_i\|^2}{\sigma_p^2} + \frac{\|\log(R_i \hat R_i^T)\|^2}{\sigma_R^2}
+
+over :math:`q` by Levenberg-Marquardt; the slopes of positions and turns are twists of the robot. The rig's constants
+:math:`B` and :math:`M_i` are fitted over many shapes at once by Gauss-Newton, with the shapes eliminated: each of
+them is at its own optimum, and only its Schur complement counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from repro.chain import Chain, FreeBody, Place, place, point_on, rotation_matrix, unit_quaternions
+from repro.common import Array, bad_input, is_table, numbers, require
+from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
+from repro.estimators.least_squares import CHI2, LevenbergMarquardt
+from repro.estimators.track import Trajectory
+from repro.parts import Assembly, Mounted
+from repro.sensing import batch_difference
+from repro.tables import POSITION_FIRST, bodies_of, read_table
+
+_RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
+"""Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""
+_RIG_SHAPES, _RIG_ITERATIONS, _TOLERANCE = 400, 60, 1e-6
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What stays the same over all shapes.
+
+    Parameters
+    ----------
+    base
+        Pose ``T_capture_base`` ``[4, 4]`` of the robot's base in the frame of the measured poses.
+    bodies
+        Poses ``T_place_body`` ``[n, 4, 4]`` of the bodies where they are mounted.
+    deviation
+        Standard deviations ``[1 + n, 6]`` of base and bodies: along their own axes [m], then about them [rad]; zero
+        where they were not fitted.
+    """
+
+    base: Array
+    bodies: Array
+    deviation: Array
+
+
+@dataclass(frozen=True, repr=False)
+class FittedShapes(Trajectory):
+    """Configurations, as over time in a :class:`.Trajectory`, and what they leave of the measured poses.
+
+    Parameters
+    ----------
+    residuals
+        Measured less fitted ``[t, n, 6]`` in the base frame: positions [m], then rotation vectors [rad].
+    rig
+        The rig that was given or fitted.
+    """
+
+    residuals: Array = field(default_factory=lambda: np.zeros((0, 0, 6)))
+    rig: Rig | None = None
+
+    @property
+    def residual(self) -> Array:
+        """Root mean square distance of measured and fitted positions, of every shape ``[t]`` [m]."""
+        return _size(self.residuals[..., :3], -1)
+
+    def to_frame(self) -> Any:
+        """Return the data frame of :meth:`.Trajectory.to_frame` with the residual, ``residual_mm``."""
+        return super().to_frame().assign(residual_mm=1e3 * self.residual)
+
+    def __repr__(self) -> str:
+        """Return the lines of a trajectory, and the residual."""
+        distance = 1e3 * _size(self.residuals[..., :3], None)
+        return f"{super().__repr__()}\nresidual, root mean square: {distance:.2g} mm"
+
+
+def _size(vectors: Array, axis: int | None) -> Array:
+    """Root mean square length of those that are there; NaN where none is."""
+    return np.sqrt(np.ma.filled(np.ma.masked_invalid(np.square(vectors).sum(-1)).mean(axis), np.nan))
+
+
+class _Bodies:
+    """Poses of places as a sensor model: all positions, then all rotation vectors, in the base frame."""
+
+    compiled = False
+
+    def __init__(self, robot: Chain, places: Sequence[Place]) -> None:
+        self.robot, self.places = robot, tuple(places)
+        self.n_q, self.n_readings, self.rotations = robot.n_q, 6 * len(self.places), robot.rotations
+
+    def __call__(self, q: Array) -> Array:
+        return self.linearise(q)[0]
+
+    def linearise(self, q: Array) -> tuple[Array, Array]:
+        T, X = self.robot.motion(q, self.places)
+        p, turns = T[..., None, :3, 3], X[..., :3]
+        moves = X[..., 3:] + np.cross(turns, p)
+        J = np.concatenate([moves, turns], axis=1)  # [n, 2 b, n_q, 3]
+        u = np.concatenate([T[..., :3, 3], _rotation_vectors(T[..., :3, :3])], axis=1)
+        return u.reshape(len(q), -1), np.swapaxes(J, 2, 3).reshape(len(q), -1, self.n_q)
+
+    def difference(self, u: Array, u_hat: Array) -> Array:
+        r = np.empty(u_hat.shape)
+        batch_difference(self.n_readings // 2, np.ascontiguousarray(u), np.ascontiguousarray(u_hat), r)
+        return r
+
+
+def _rotation_vectors(R: Array) -> Array:
+    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+
+
+def fit_shape(
+    robot: Chain,
+    poses: Any,
+    at: Sequence[Any] | None = None,
+    *,
+    times: Any = None,
+    noise: tuple[float, float] = (0.5e-3, 0.01),
+    start: Any = None,
+    rig: Rig | None = None,
+    fit_rig: bool = False,
+) -> FittedShapes:
+    r"""Fit the shapes of a robot to motion capture.
+
+    Parameters
+    ----------
+    robot
+        What is to be fitted. Coordinates with equal bounds stay there; other bounds do not count.
+    poses
+        Measured bodies, one row per shape: poses ``[t, n, 4, 4]``, positions and quaternions XYZW ``[t, n, 7]``, or
+        markers ``[t, n, 3]`` [m]; NaN for what is missing, a whole body or its rotation alone. Without the dimension
+        of time it is one shape. A data frame or the path of a table is read by the names of its columns.
+    at
+        Where each body is: something that is mounted (it has a ``place``), or ``(segment, at)`` [m], or
+        ``(segment, at, position)`` for a marker beside the backbone, with its place in the cross-section [m]. The
+        tips of all segments if not given; with one body more, the first is on the base. What is measured on the base
+        (segment 0, a whole pose) may move: all other bodies are taken relative to it.
+    times
+        Time of each row [s].
+    noise
+        Standard deviations of a measured position along each axis [m] and of a rotation about each axis [rad].
+    start
+        Configuration from which every shape is searched; that of the robot, else straight, if not given.
+    rig
+        Frames of base and bodies, such as an earlier fit found; all the identity if not given.
+    fit_rig
+        Fit them over all shapes, from ``rig`` if given. Priors of 10 mm and 0.2 rad hold what the shapes do not
+        determine, and ``rig.deviation`` tells it: beside constant curvature a tilt of base and bodies is a bend.
+
+    Returns
+    -------
+    FittedShapes
+        ``q``, ``covariance``, ``residuals`` and ``rig``. Coordinates beyond the last body that was seen are NaN, with
+        an infinite variance. If the residuals are larger than the noise in most shapes, the covariances grow by them.
+
+    Raises
+    ------
+    InputError
+        If the bodies do not fit ``at``, or are no rigid poses.
+
+    Examples
+    --------
+    One segment that ends at the tip of a quarter circle, known by a marker on its tip:
+
+    >>> from repro import ConstantCurvature, Robot, fit_shape
+    >>> robot = Robot([ConstantCurvature(length=0.110, radius=0.022)])
+    >>> found = fit_shape(robot, [[0.0700282, 0.0, 0.0700282]])
+    >>> found.q.round(6) + 0.0
+    array([[0.034558, 0.      , 0.      ]])
+    """
+    owner = "fit_shape"
+    if is_table(poses):
+        table = read_table(poses)
+        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., POSITION_FIRST]
+        times = table.times if times is None else times
+    T = measured_poses(poses, owner)
+    places = places_of(robot, at, T.shape[1], owner)
+    require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
+    require(robot.n_q, "robot", owner, "one with a coordinate", "none")
+    T, places = _on_the_base(robot, T, places)
+    n = T.shape[1]
+    require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
+    first = rig is None
+    rig = Rig(np.eye(4), np.tile(np.eye(4), (n, 1, 1)), np.zeros((1 + n, 6))) if rig is None else rig
+    require(rig.bodies.shape == (n, 4, 4), "rig", owner, f"of {n} bodies", f"{len(rig.bodies)}")
+    search = _Search(robot, places, noise, start, owner)
+    if fit_rig:
+        if first:
+            rig = replace(rig, base=_first_base(robot.poses(search.q0, places), T, robot.length / 2))
+        shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
+        rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
+    u, places = _readings(T, rig), search.mounted(rig)
+    _check_near(robot, u[:, : 3 * n], owner)
+
+    found, u_hat, C, chi2, used = search.best(u, places)
+    unknown = search.unseen(u)
+    dof = np.maximum(used - (search.free & ~unknown).sum(1), 0)
+    if (dof > 0).any():
+        C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
+    open_ = np.where(np.eye(robot.n_q) == 1, np.inf, np.nan)
+    C = np.where(unknown[:, :, None] | unknown[:, None, :], open_, C)
+    at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
+    r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
+    return FittedShapes(
+        at_times, np.where(unknown, np.nan, found), C, u_hat, chi2, dof, u.shape[1] - used, {},
+        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
+        robot=robot if isinstance(robot, Assembly) else None,
+    )  # fmt: skip
+
+
+def _check_near(robot: Chain, positions: Array, owner: str) -> None:
+    """Refuse positions that are in another unit or frame, by their typical distance from the base."""
+    far = float(np.nanmedian(np.linalg.norm(positions.reshape(-1, 3), axis=-1)))
+    loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
+    expected = "in metres and in the frame of the base (or fit_rig=True)"
+    near = loose or not far > 3 * robot.length
+    require(near, "poses", owner, expected, f"positions {far:.3g} m from the base")
+
+
+def _on_the_base(robot: Chain, T: Array, places: list[Place]) -> tuple[Array, list[Place]]:
+    """Return all other bodies as if one on the base never moved, if there is one whose whole pose was measured."""
+    still = [k for k, where in enumerate(places) if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any()]
+    if not still:
+        return T, places
+    k = still[0]
+    mount = robot.poses(np.zeros(robot.n_q), [places[k]])[0]
+    others = mount @ np.linalg.inv(T[:, k, None]) @ np.delete(T, k, axis=1)
+    return others, places[:k] + places[k + 1 :]
+
+
+def measured_poses(poses: Any, owner: str) -> Array:
+    """Return poses ``[t, n, 4, 4]``, NaN for what is missing: a whole body or its rotation."""
+    values = numbers(poses, "poses", owner, finite=False)
+    if values.shape[-2:] == (4, 4) and values.ndim in (3, 4):
+        T = values.reshape(-1, *values.shape[-3:]).copy()
+    elif values.shape[-1:] in ((3,), (7,)) and values.ndim in (2, 3):
+        rows = values.reshape(-1, *values.shape[-2:])
+        T = np.full((*rows.shape[:2], 4, 4), np.nan)
+        T[..., :3, 3] = rows[..., :3]
+        there = np.isfinite(rows[..., 3:]).all(-1) & (values.shape[-1] == 7)
+        if there.any():
+            T[there, :3, :3] = rotation_matrix(unit_quaternions(rows[there, 3:], "poses", owner, (None, 4)))
+    else:
+        expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3)"
+        raise bad_input("poses", owner, expected, f"shape {values.shape}")
+    require(T.size, "poses", owner, "of at least one shape and one body", f"shape {values.shape}")
+    T[~np.isfinite(T[..., :3, :3]).all((-2, -1)), :3, :3] = np.nan
+    T[~np.isfinite(T[..., :3, 3]).all(-1), :3] = np.nan
+    R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
+    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-2, -1))
+    for k, body in np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0)):
+        words = f"a matrix that is none in row {k + 1}, body {body + 1}"
+        raise bad_input("poses", owner, "rotations and positions [m]", words)
+    T[..., 3, :] = [0.0, 0.0, 0.0, 1.0]
+    return T
+
+
+def places_of(robot: Chain, at: Any, n: int, owner: str) -> list[Place]:
+    """Return where each of ``n`` bodies is: as given, or on the tips of all segments, one more on the base."""
+    g = len(robot.segments)
+    if at is None:
+        expected = (
+            f"given unless there are {g} bodies, one on the tip of each segment, or one more on the base"
+        )
+        require(n in (g, g + 1), "at", owner, expected, f"{n} bodies without it")
+        tips = [point_on(i, segment.length) for i, segment in enumerate(robot.segments, 1)]
+        return tips if n == g else [point_on(0, 0.0), *tips]
+    require(isinstance(at, Sequence), "at", owner, "a list, with a place for each body", at)
+    places = []
+    for item in at:
+        own: Any = item.place if isinstance(item, Mounted) else item
+        if not isinstance(own, Place):
+            pair = isinstance(own, Sequence) and len(own) in (2, 3)
+            require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
+            own = place(owner, *list[Any](own))
+        robot.check_place(own, "at")
+        places.append(own)
+    require(len(places) == n, "at", owner, f"one place for each of {n} bodies", f"{len(places)}")
+    return places
+
+
+class _Search:
+    """Finds the best configuration of every shape, and the rig that suits all of them."""
+
+    def __init__(
+        self, robot: Chain, places: list[Place], noise: tuple[float, float], start: Any, owner: str
+    ) -> None:
+        self.robot, self.places, self.noise = robot, places, noise
+        stated: Any = (robot.lower, robot.upper)
+        self.known = np.full(robot.n_q, np.nan)
+        if robot.lower is not None:
+            self.known = np.where(stated[0] == stated[1], stated[0], np.nan)
+        self.free = np.isnan(self.known)
+        q0 = robot.start if start is None else robot.check_q(start, owner)
+        if q0 is None:  # not quite straight: there the slopes by an azimuth are zero
+            q0 = np.where([name.startswith("kappa") for name in robot.coordinates], 0.1, 0.0)
+        self.q0 = np.where(self.free, q0, self.known)
+        self.segment = np.array(
+            [g for g, s in enumerate(robot.segments, 1) for _ in s.coordinates], dtype=int
+        )
+
+    def mounted(self, rig: Rig) -> list[Place]:
+        """Return the places of the bodies themselves."""
+        return [
+            where._replace(
+                rotation=where.rotation @ body[:3, :3], position=where.position + where.rotation @ body[:3, 3]
+            )
+            for where, body in zip(self.places, rig.bodies, strict=True)
+        ]
+
+    def unseen(self, u: Array) -> Array:
+        """Return the coordinates ``[t, n_q]`` of segments that no body was seen on or beyond."""
+        lengths = [0.0, *(segment.length for segment in self.robot.segments)]
+        last = [where.segment - (where.at == 0 < lengths[where.segment]) for where in self.places]
+        seen = np.isfinite(u[:, : 3 * len(self.places) : 3])
+        return self.segment > np.where(seen, last, 0).max(1)[:, None]
+
+    def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
+        """Return configurations, readings there, covariance, chi-square and number of readings used."""
+        last = max(where.segment for where in places)
+        robot = Chain(self.robot.segments[:last])
+        n, far = robot.n_q, np.full(robot.n_q, 1e6)
+        noise = np.repeat(self.noise, 3 * len(places))
+        method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
+        known = None if self.free.all() else self.known[:n]
+        found, u_hat, C, status, used = method.fit(q[:, :n], u, known)
+        found = method.angles.wrapped(found)
+        C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
+        return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], used
+
+    def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
+        """Return the same, searched: from the base to the tip one segment more at a time, then all together."""
+        q, both = np.tile(self.q0, (len(u), 1)), u.reshape(len(u), 2, len(places), 3)
+        reached = sorted({where.segment for where in places} - {0})
+        for g in reached[:-1]:
+            up_to = [k for k, where in enumerate(places) if where.segment <= g]
+            q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]
+        found = self.fit(q, u, places, _TOLERANCE)
+        for step in (-1, 1):  # where it fits badly, the shapes before and after are better starts
+            bad = np.flatnonzero(found[3] > 10 * np.median(found[3]) + 1e-6)
+            if len(bad):
+                again = self.fit(found[0][(bad + step) % len(u)], u[bad], places, _TOLERANCE)
+                lower = again[3] < found[3][bad]
+                for old, new in zip(found, again, strict=True):
+                    old[bad[lower]] = new[lower]
+        return found
+
+    def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
+        """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""
+        n = len(self.places)
+        std = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)
+        std[:6] *= wider
+        trials = _RigTrials(self, T, rig)
+        fit = gauss_newton(trials.trial, std**-2, iterations=_RIG_ITERATIONS, tolerance=_TOLERANCE)
+        deviation = np.sqrt(trials.typical * np.diag(np.linalg.inv(fit.information)))
+        return replace(trials.rig, deviation=deviation.reshape(1 + n, 6))
+
+
+class _RigTrials:
+    """Rigs that are tried: by how much each moves the frames of the last one that was better.
+
+    A shape that fits a hundred times as badly as most counts as one that fits ten times as badly.
+    """
+
+    def __init__(self, search: _Search, T: Array, rig: Rig) -> None:
+        self.search, self.T, self.rig = search, T, rig
+        self.z, self.q, self.limit, self.typical = np.zeros(6 * (1 + len(search.places))), None, np.inf, 1.0
+
+    def trial(self, z: Array) -> Trial:
+        """Return what the shapes leave of the poses, each at its best for this rig."""
+        rig = _moved(self.rig, z - self.z)
+        u, places = _readings(self.T, rig), self.search.mounted(rig)
+        if self.q is None:
+            q, _, _, chi2, used = self.search.best(u, places)
+        else:
+            q, _, _, chi2, used = self.search.fit(self.q, u, places, _TOLERANCE)
+        return Trial(float(np.minimum(chi2, self.limit).sum()), lambda: self._taken(z, rig, q, u, chi2, used))
+
+    def _taken(
+        self, z: Array, rig: Rig, q: Array, u: Array, chi2: Array, used: Array
+    ) -> tuple[float, Array, Array]:
+        """Go on from a better rig, with new weights of the shapes."""
+        search = self.search
+        self.z, self.rig, self.q = z, rig, q
+        dof = np.maximum(used - search.free.sum(), 1)
+        self.typical = max(1.0, float(np.median(chi2 / dof)))
+        self.limit = 10 * self.typical * dof
+        shares = np.sqrt(np.minimum(1.0, self.limit / np.maximum(chi2, 1e-300)))[:, None]
+        weight = np.repeat(1 / np.array(search.noise), 3 * len(search.places)) * shares
+        cost = float(np.minimum(chi2, self.limit).sum())
+        return cost, *_equations(_Bodies(search.robot, search.mounted(rig)), q, u, weight, search.free)
+
+
+def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
+    """Return information and gradient of the rig, with the shapes at their best for every rig."""
+    t, n = len(q), len(model.places)
+    R = model.robot.poses(q, model.places)[..., :3, :3]
+    u_hat, J = model.linearise(q)
+    r = weight * model.difference(u, u_hat)
+    there = np.isfinite(r)
+    p, K = u_hat[:, : 3 * n].reshape(t, n, 3), np.zeros((t, 2, n, 3, 1 + n, 6))
+    K[:, 0, :, :, 0, :3] = K[:, 1, :, :, 0, 3:] = np.eye(3)
+    K[:, 0, :, :, 0, 3:] = np.swapaxes(np.cross(np.eye(3), p[:, :, None]), -1, -2)
+    for k in range(n):
+        K[:, 0, k, :, 1 + k, :3] = K[:, 1, k, :, 1 + k, 3:] = R[:, k]
+    K = np.where(there, weight, 0.0)[..., None] * K.reshape(t, 6 * n, -1)
+    J = np.where(there, weight, 0.0)[..., None] * J[..., free]
+    r = np.where(there, r, 0.0)
+    return eliminated(K, J, r)
+
+
+def _moved(rig: Rig, delta: Array) -> Rig:
+    """Return a rig whose frames moved along and about their own axes."""
+    each = delta.reshape(-1, 6)
+    T = np.zeros((len(each), 4, 4))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.from_rotvec(each[:, 3:]).as_matrix(), each[:, :3]
+    T[:, 3, 3] = 1.0
+    return Rig(rig.base @ T[0], rig.bodies @ T[1:], rig.deviation)
+
+
+def _readings(T: Array, rig: Rig) -> Array:
+    """Return positions and rotation vectors in the base frame, ``[t, 6 n]``, NaN where nothing was measured."""
+    own = np.linalg.inv(rig.base) @ T
+    turns = np.full((*own.shape[:2], 3), np.nan)
+    there = np.isfinite(own[..., 0, 0])
+    turns[there] = _rotation_vectors(own[there][:, :3, :3])
+    return np.concatenate([own[..., :3, 3], turns], axis=1).reshape(len(T), -1)
+
+
+def _first_base(model_T: Array, T: Array, reach: float) -> Array:
+    """Return the base frame that brings the robot at its start closest to all measured bodies (Kabsch).
+
+    What is ten times as far from the middle as most does not count.
+    """
+    p = T[..., :3, 3]
+    away = np.linalg.norm(p - np.nanmedian(p, axis=(0, 1)), axis=-1)
+    T = np.where((away <= 10 * np.nanmedian(away) + 1e-9)[..., None, None], T, np.nan)
+    seen = np.isfinite(T[..., 0, 3])
+    own = np.broadcast_to(model_T, T.shape)
+    points, model_points = T[seen][:, :3, 3], own[seen][:, :3, 3]
+    axes = np.isfinite(T[..., 0, 0])
+    ours, theirs = (reach * np.swapaxes(X[axes][:, :3, :3], 1, 2).reshape(-1, 3) for X in (own, T))
+    ours = np.concatenate([model_points - model_points.mean(0), ours])
+    theirs = np.concatenate([points - points.mean(0), theirs])
+    base = np.eye(4)
+    base[:3, :3] = Rotation.align_vectors(theirs, ours)[0].as_matrix()
+    base[:3, 3] = points.mean(0) - base[:3, :3] @ model_points.mean(0)
+    return base
