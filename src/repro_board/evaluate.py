@@ -236,12 +236,11 @@ def _holds(measured: Any, u: Any, owner: str) -> Array | None:
 def _by_clock(windows: Array, clock: str, readings: Path | str) -> Array:
     """Return beginnings and ends ``[poses, 2]`` by the times of the readings, from another clock than theirs."""
     from repro_board.export import table_of
-    from repro_board.record import MAGIC, read_recording
+    from repro_board.record import is_recording, read_recording
 
     if not clock:
         return windows
-    with Path(readings).open("rb") as file:
-        recorded = file.read(len(MAGIC)) == MAGIC
+    recorded = is_recording(readings)
     source = table_of(read_recording(readings))[0].filter(regex="_s$") if recorded else readings
     table = read_table(source)._replace(owner=Path(readings).name)
     own, name = table.scaled(f"{clock}s")[0], f"column {clock}s"

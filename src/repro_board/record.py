@@ -18,8 +18,8 @@ offset bytes   content (little endian)
 ====== ======= ===========================================================================================
 
 A wrong format spoils nothing, because the parser runs again whenever the file is read. A damaged block costs its own
-bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of the first edition (``RRB1``, with
-values instead of bytes) are read too.
+bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of an earlier edition (``RRB1``) had
+values instead of bytes, and are refused.
 """
 
 from __future__ import annotations
@@ -47,17 +47,16 @@ import numpy as np
 import repro
 from repro.common import Array, bad_input, require, whole
 from repro.robot import Robot
-from repro.tables import Readings, name_and_unit, read_readings
+from repro.tables import Readings, read_readings
 from repro_board.steps import STANDS_STILL, STILL, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
-MAGIC = b"RRB"
+_MAGIC = b"RRB2"
 SYNC_S = 0.25
 """A power cut costs at most this time [s], and what the disk itself holds back."""
 MOST_BYTES = 65536
 """Bytes taken from a port at once, and of a block."""
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
-_HEAD_OF_FIRST_EDITION = struct.Struct("<4scxHI")
 _WRAP_S = 2**32 / 1e6
 
 
@@ -202,7 +201,7 @@ class Writer:
                 self.path.unlink(missing_ok=True)
 
     def _append(self, kind: bytes, unix_ns: int, content: bytes) -> None:
-        head = _HEAD.pack(MAGIC + b"2", kind, self._id, self._blocks, len(content), unix_ns)
+        head = _HEAD.pack(_MAGIC, kind, self._id, self._blocks, len(content), unix_ns)
         block = head + _CRC.pack(crc32(content, crc32(head))) + content
         try:
             if self._failure:
@@ -347,9 +346,10 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     path = Path(path)
     require(path.is_file(), "recording", "read_recording", "a file that exists", path)
     data = path.read_bytes()
-    first_edition = not (blocks := list(_blocks(data, _HEAD)))
-    blocks = blocks or list(_blocks(data, _HEAD_OF_FIRST_EDITION))
-    must = "a recording with a whole block (it begins with RRB)"
+    blocks = list(_blocks(data))
+    must = "a recording with a whole block (it begins with RRB2)"
+    earlier = "one of an earlier edition (version 1.0 reads it, and repro export writes it as a table)"
+    require(blocks or not data.startswith(b"RRB1"), "file", path.name, must, earlier)
     require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
     damaged = len(data) - sum(block.length for block in blocks)
     remarks = [f"bytes that are damaged or cut off, and left out: {damaged}"] if damaged else []
@@ -357,8 +357,6 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     blocks = list(dict.fromkeys(blocks))
     if len(blocks) < count:
         remarks.append(f"blocks that are there twice, and read once: {count - len(blocks)}")
-    if first_edition:
-        return _read_first_edition(path, blocks, remarks)
     others = [block for block in blocks if block.head[2] != blocks[0].head[2]]
     if others:
         remarks.append(f"blocks of another recording, left out: {len(others)}")
@@ -414,19 +412,17 @@ class _Block(NamedTuple):
     length: int
 
 
-def _blocks(data: bytes, form: struct.Struct) -> Iterator[_Block]:
-    """Yield the whole blocks of an edition, in the order of the file."""
-    magic, view = MAGIC + (b"2" if form is _HEAD else b"1"), memoryview(data)
-    at = data.find(magic)
-    while 0 <= at <= len(data) - form.size - _CRC.size:
-        head, begin = form.unpack_from(data, at), at + form.size + _CRC.size
-        per_item = 20 + 8 * head[2] if form is not _HEAD and head[1] == b"F" else 1
-        end = begin + per_item * head[4 if form is _HEAD else 3]
-        fits = end <= min(len(data), begin + (MOST_BYTES if form is _HEAD else 1 << 24))
-        found = crc32(view[begin:end], crc32(view[at : at + form.size])) if fits else -1
-        if whole := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
+def _blocks(data: bytes) -> Iterator[_Block]:
+    """Yield the whole blocks, in the order of the file."""
+    view, at = memoryview(data), data.find(_MAGIC)
+    while 0 <= at <= len(data) - _HEAD.size - _CRC.size:
+        head, begin = _HEAD.unpack_from(data, at), at + _HEAD.size + _CRC.size
+        end = begin + head[4]
+        fits = head[4] <= MOST_BYTES and end <= len(data)
+        found = crc32(view[begin:end], crc32(view[at : at + _HEAD.size])) if fits else -1
+        if undamaged := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
             yield _Block(head, data[begin:end], end - at)
-        at = data.find(magic, end if whole else at + 1)
+        at = data.find(_MAGIC, end if undamaged else at + 1)
 
 
 def _json(content: bytes) -> dict[str, Any]:
@@ -435,46 +431,6 @@ def _json(content: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         found = None
     return found if isinstance(found, dict) else {}
-
-
-def _number(about: dict[str, Any], name: str) -> float:
-    found = about.get(name)
-    return float(found) if isinstance(found, int | float) and abs(found) < 1e19 else 0.0
-
-
-def _read_first_edition(path: Path, blocks: list[_Block], remarks: list[str]) -> Recording:
-    """Read values in blocks without numbers; a file beside the recording has their count."""
-    about = next((_json(block.content) for block in blocks if block.head[1] == b"H"), {})
-    beside = path.with_name(f"{path.name}.json")
-    counted = _json(beside.read_bytes()) if beside.is_file() else {}
-    if blocks[0].head[1] != b"H":
-        remarks.append("its first block is missing or not the first")
-    if not about or counted.get("start_host_ns") == about.get("start_host_ns"):
-        about = counted | about
-    frames = [block for block in blocks if block.head[1] == b"F"]
-    for k, block in enumerate(frames):
-        require(block.head[2], f"width of block {k + 1}", path.name, "1 value or more", 0)
-    in_order = sorted(frames, key=lambda block: struct.unpack_from("<q", block.content))
-    if frames != in_order:
-        remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    rows = [
-        row for block in in_order for row in struct.iter_unpack(f"<qIIHBB{block.head[2]}d", block.content)
-    ]
-    counters = about.get("counters")
-    counters = counters if isinstance(counters, dict) else {}
-    if about.get("ended") and counters.get("frames") != len(rows):
-        found = f"frames: {len(rows)} are here, {beside.name} counts {counters.get('frames')}"
-        remarks.append(f"{found}: whole blocks are missing")
-    samples = [
-        Sample(stream, sequence if known & 1 else None, us if known & 2 else None, k, np.array(values[:n]))
-        for k, (_, us, sequence, stream, n, known, *values) in enumerate(rows)
-    ]
-    start_s = _number(about, "start_unix_s") - _number(about, "start_host_ns") / 1e9
-    channels = about.get("channels")
-    named = [name_and_unit(str(name)) for name in (channels if isinstance(channels, list) else [])]
-    names, units = zip(*named, strict=True) if named else ((), ())
-    arrived = start_s + np.array([row[0] for row in rows], dtype=float) / 1e9
-    return _recording(path, about, samples, arrived, about.get("format"), names, units, counters, remarks)
 
 
 def _recording(
@@ -562,6 +518,14 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
     return np.maximum.accumulate(times), ppm
 
 
+def is_recording(path: str | Path) -> bool:
+    """Return whether a file begins as a recording of any edition does."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(3) == _MAGIC[:3]
+
+
 def readings_of(robot: Robot, source: Any) -> Readings:
     """Return the readings ``[t, s]`` of a robot from a recording or a table: a path, or what was read of it.
 
@@ -570,9 +534,8 @@ def readings_of(robot: Robot, source: Any) -> Readings:
     InputError
         If it is neither, or does not belong to the robot.
     """
-    if isinstance(source, str | Path) and Path(source).is_file():
-        with Path(source).open("rb") as file:
-            source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
+    if isinstance(source, str | Path) and is_recording(source):
+        source = read_recording(source)
     if not isinstance(source, Recording):
         return read_readings(robot, source)
     steps = Steps(robot, source=source)
