@@ -161,7 +161,7 @@ class Writer:
         self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
         # The clock of the day may be set while we record, so it is read once.
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
-        self._failure: OSError | None = None
+        self._failure: Exception | None = None
         self._closing = threading.Event()
         # Killed before its first block it leaves no file of that name, rather than an empty one.
         with whole(self.path, "the recording") as part:
@@ -227,7 +227,7 @@ class Writer:
                 size = self._size
                 try:
                     os.fsync(self._file)
-                except OSError as error:
+                except Exception as error:  # the next block raises it
                     self._failure = error
                 synced = size
 

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
+from repro_board import record as module
 from repro_board.record import (
     Writer,
     arrival_times,
@@ -35,6 +36,7 @@ from repro_board.record import (
 )
 from repro_board.steps import STANDS_STILL
 from repro_board.wire import encode
+from tests.board.waiting import until
 
 SECOND = 10**9
 START = 17 * 10**17
@@ -394,13 +396,6 @@ def board(tmp_path):
         board.unplug()
 
 
-def until(holds, longest_s: float = 5.0) -> None:
-    end = time.monotonic() + longest_s
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 def test_a_port_gives_what_a_board_sends_and_comes_back_after_it_was_lost(board):
     port = open_port(str(board.port))
     assert port.read(0.01) == b""
@@ -456,23 +451,35 @@ def test_ports_that_cannot_be_are_refused_in_words(address, baud, message):
     assert ports()
 
 
-def test_a_port_is_recorded_until_ctrl_c(board, tmp_path):
-    shown = []
+@pytest.fixture
+def opened(monkeypatch):
+    """An event that is set when a port was opened."""
+    event = threading.Event()
+    monkeypatch.setattr(module, "open_port", lambda *given: (open_port(*given), event.set())[0])
+    return event
+
+
+def samples_in(path: Path) -> int:
+    return len(read_recording(path).samples) if path.is_file() else 0
+
+
+def test_a_port_is_recorded_until_ctrl_c(board, tmp_path, opened):
+    shown, path = [], tmp_path / "a.rec"
 
     def play() -> None:
+        opened.wait(5)
         for frame in frames(range(120), 10_000):
             board.send(frame)
             time.sleep(0.01)
-        time.sleep(0.1)
+        until(lambda: samples_in(path) == 120)
         os.kill(os.getpid(), signal.SIGINT)
 
-    player = threading.Thread(target=play)
-    threading.Timer(0.3, player.start).start()
-    done = record(str(board.port), tmp_path / "a.rec", format="frames", show=shown.append)
+    threading.Thread(target=play).start()
+    done = record(str(board.port), path, format="frames", show=shown.append)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    recording = read_recording(tmp_path / "a.rec")
+    recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == list(range(120))
-    assert (done.samples, done.received, done.path) == (120, 120 * len(frames([0])[0]), tmp_path / "a.rec")
+    assert (done.samples, done.received, done.path) == (120, 120 * len(frames([0])[0]), path)
     assert recording.about["format"] == "frames"
     assert recording.about["port"] == str(board.port)
     assert recording.remarks == ()
@@ -480,27 +487,26 @@ def test_a_port_is_recorded_until_ctrl_c(board, tmp_path):
     assert "samples of frames" in str(shown[-1])
 
 
-def test_a_lost_port_is_waited_for_and_marked(board, tmp_path):
-    stop, shown = threading.Event(), []
+def test_a_lost_port_is_waited_for_and_marked(board, tmp_path, opened):
+    stop, path = threading.Event(), tmp_path / "a.rec"
 
     def play() -> None:
         parts = frames(range(20))
-        time.sleep(0.3)
+        opened.wait(5)
         board.send(b"".join(parts[:10]) + parts[10][:5])
-        time.sleep(0.2)
+        until(lambda: samples_in(path) == 10)
         board.unplug()
-        time.sleep(0.3)
         board.plug_in()
-        until(lambda: any(block[1] == b"O" for block in struct_heads(tmp_path / "a.rec")))
+        until(lambda: any(block[1] == b"O" for block in struct_heads(path)))
         board.send(b"".join(parts[11:]))
-        time.sleep(0.3)
+        until(lambda: samples_in(path) == 19)
         stop.set()
 
     player = threading.Thread(target=play)
     player.start()
-    done = record(str(board.port), tmp_path / "a.rec", stop=stop, show=shown.append)
+    done = record(str(board.port), path, stop=stop)
     player.join()
-    recording = read_recording(tmp_path / "a.rec")
+    recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
     assert (done.reconnects, done.samples) == (1, 19)
 
