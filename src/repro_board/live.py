@@ -75,7 +75,8 @@ class Follower:
         """Forget everything."""
         self.state: Any = self.monitor.init()
         self.said: dict[str, Any] = {"status": 0}
-        self._inner, self._burst, self._looked = None, BURST, -math.inf
+        self._inner: Any = None
+        self._burst, self._looked = BURST, -math.inf
         self._near = NearMagnets.of(self.robot, self.robot.n_readings)
 
     def warm(self) -> None:
@@ -386,16 +387,18 @@ def live(
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
     described = load_robot(robot)
-    stated, must = described.total_noise is not None, "one whose file states the noise of its readings"
-    require(stated, "robot", "live", must, Path(robot).name)
+    must = "one whose file states the noise of its readings"
+    require(described.total_noise is not None, "robot", "live", must, Path(robot).name)
     known = None if calibration is None else load_calibration(calibration, described)
     arm = described if known is None else known.robot
     follower, console = Follower(arm, estimator, failed, grown, known), Console(stderr=True)
     follower.warm()
     with ExitStack() as open_now:
         opened = open_now.enter_context(closing(open_port(port, baud)))
-        about = {"port": port, "baud": baud, "format": format}
-        writer = None if output is None else open_now.enter_context(closing(Writer(output, about)))
+        writer = None
+        if output is not None:
+            about = {"port": port, "baud": baud, "format": format}
+            writer = open_now.enter_context(closing(Writer(output, about)))
         session = Session(follower, opened, writer, format, with_shape=browser)
         session.stop = stop or session.stop
         open_now.enter_context(stopping(session.stop))

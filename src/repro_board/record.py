@@ -343,86 +343,102 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     InputError
         If no block is whole.
     """
-    path = Path(path)
+    path, remarks = Path(path), list[str]()
     require(path.is_file(), "recording", "read_recording", "a file that exists", path)
+    blocks = _in_order(_undamaged(path, remarks), path.name, remarks)
+    about = _json(blocks[0].content) if 0 in blocks else {}
+    given = (format, channels) != (None, None)
+    if not given:
+        said, n = about.get("format"), about.get("channels")
+        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
+    parser = Parser(format or None, channels)
+    samples, arrived = _parsed(blocks, parser)
+    if (format or channels) and not (samples or given):
+        stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
+        found = read_recording(path, format="")
+        if found.samples:
+            other = f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
+            return found._replace(remarks=(*found.remarks, other))
+    remarks += parser.remarks
+    times, unix_s = _times(samples, arrived, remarks)
+    return Recording(
+        path, about, samples, arrived, times, unix_s, parser.format, parser.names, parser.units, {**parser.counters},
+        tuple(remarks),
+    )  # fmt: skip
+
+
+class _Block(NamedTuple):
+    kind: bytes
+    recording: int
+    number: int
+    unix_ns: int
+    content: bytes
+
+
+def _undamaged(path: Path, remarks: list[str]) -> list[_Block]:
+    """Return the whole blocks of one recording, each once, in the order of the file."""
     data = path.read_bytes()
-    blocks = list(_blocks(data))
+    found = list(_blocks(data))
     must = "a recording with a whole block (it begins with RRB2)"
     earlier = "one of an earlier edition (version 1.0 reads it, and repro export writes it as a table)"
-    require(blocks or not data.startswith(b"RRB1"), "file", path.name, must, earlier)
-    require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
-    damaged = len(data) - sum(block.length for block in blocks)
-    remarks = [f"bytes that are damaged or cut off, and left out: {damaged}"] if damaged else []
-    count = len(blocks)
-    blocks = list(dict.fromkeys(blocks))
-    if len(blocks) < count:
-        remarks.append(f"blocks that are there twice, and read once: {count - len(blocks)}")
-    others = [block for block in blocks if block.head[2] != blocks[0].head[2]]
-    if others:
-        remarks.append(f"blocks of another recording, left out: {len(others)}")
-        blocks = [block for block in blocks if block.head[2] == blocks[0].head[2]]
-    order = [block.head[3] for block in blocks]
-    kept = dict(sorted(zip(order, blocks, strict=True)))
-    blocks.clear()  # of a long recording only what is still to be read stays in memory
-    last = max(order)
-    about = _json(kept[0].content) if 0 in kept else {}
+    require(found or not data.startswith(b"RRB1"), "file", path.name, must, earlier)
+    require(found, "file", path.name, must, f"{len(data)} bytes without one")
+    if damaged := len(data) - sum(_HEAD.size + _CRC.size + len(block.content) for block in found):
+        remarks.append(f"bytes that are damaged or cut off, and left out: {damaged}")
+    blocks = list(dict.fromkeys(found))
+    if len(blocks) < len(found):
+        remarks.append(f"blocks that are there twice, and read once: {len(found) - len(blocks)}")
+    own = [block for block in blocks if block.recording == blocks[0].recording]
+    if len(own) < len(blocks):
+        remarks.append(f"blocks of another recording, left out: {len(blocks) - len(own)}")
+    return own
+
+
+def _blocks(data: bytes) -> Iterator[_Block]:
+    view, at = memoryview(data), data.find(_MAGIC)
+    while 0 <= at <= len(data) - _HEAD.size - _CRC.size:
+        (_, kind, recording, number, size, unix_ns), begin = (
+            _HEAD.unpack_from(data, at),
+            at + _HEAD.size + _CRC.size,
+        )
+        fits = size <= MOST_BYTES and begin + size <= len(data)
+        found = crc32(view[begin : begin + size], crc32(view[at : at + _HEAD.size])) if fits else -1
+        if undamaged := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
+            yield _Block(kind, recording, number, unix_ns, data[begin : begin + size])
+        at = data.find(_MAGIC, begin + size if undamaged else at + 1)
+
+
+def _in_order(blocks: list[_Block], name: str, remarks: list[str]) -> dict[int, _Block]:
+    """Return blocks by number as they were written; what is missing is told."""
+    order = [block.number for block in blocks]
+    kept, last = dict(sorted(zip(order, blocks, strict=True))), max(order)
     gaps = [(a + 1, b - a - 1) for a, b in itertools.pairwise([-1, *kept]) if b > a + 1]
     if gaps:
         words = ", ".join(f"{n} from number {a}" for a, n in gaps[:10]) + ", ..." * (len(gaps) > 10)
         remarks.append(f"blocks that are missing: {sum(n for _, n in gaps)} of {last + 1} ({words})")
     if sorted(order) != order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    if kept[last].head[1] != b"E":
-        remarks.append(f"{path.name} has no end: the recorder still runs or was killed, or the file was cut")
-    said, n, given = about.get("format"), about.get("channels"), (format, channels) != (None, None)
-    if not given:
-        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
-    parser = Parser(format or None, channels)
+    if kept[last].kind != b"E":
+        remarks.append(f"{name} has no end: the recorder still runs or was killed, or the file was cut")
+    return kept
+
+
+def _parsed(blocks: dict[int, _Block], parser: Parser) -> tuple[list[Sample], Array]:
+    """Return samples and when they arrived since 1970 [s]; of a long recording only what is to be read is kept."""
     samples, size, offsets, stamps, previous = [], 0, [], [], 0
-    for number in list(kept):
-        block = kept.pop(number)
-        if block.head[1] == b"O" or number > previous + 1:  # half a line before a gap is no number
+    for number in list(blocks):
+        block = blocks.pop(number)
+        if block.kind == b"O" or number > previous + 1:  # half a line before a gap is no number
             parser.reopened()
-        if block.head[1] == b"B":
+        if block.kind == b"B":
             offsets.append(size)
-            stamps.append(block.head[5])
+            stamps.append(block.unix_ns)
             samples += parser.feed(block.content)
             size += len(block.content)
         previous = number
     samples += parser.close()
-    if (format or channels) and not (samples or given):
-        stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
-        found = read_recording(path, format="")
-        if found.samples:
-            remark = (
-                f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
-            )
-            return found._replace(remarks=(*found.remarks, remark))
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
-    arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
-    return _recording(
-        path, about, samples, arrived, parser.format, parser.names, parser.units, {**parser.counters},
-        [*remarks, *parser.remarks],
-    )  # fmt: skip
-
-
-class _Block(NamedTuple):
-    head: tuple[Any, ...]
-    content: bytes
-    length: int
-
-
-def _blocks(data: bytes) -> Iterator[_Block]:
-    """Yield the whole blocks, in the order of the file."""
-    view, at = memoryview(data), data.find(_MAGIC)
-    while 0 <= at <= len(data) - _HEAD.size - _CRC.size:
-        head, begin = _HEAD.unpack_from(data, at), at + _HEAD.size + _CRC.size
-        end = begin + head[4]
-        fits = head[4] <= MOST_BYTES and end <= len(data)
-        found = crc32(view[begin:end], crc32(view[at : at + _HEAD.size])) if fits else -1
-        if undamaged := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
-            yield _Block(head, data[begin:end], end - at)
-        at = data.find(_MAGIC, end if undamaged else at + 1)
+    return samples, np.array(stamps, dtype=np.int64)[began] / 1e9
 
 
 def _json(content: bytes) -> dict[str, Any]:
@@ -433,20 +449,10 @@ def _json(content: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _recording(
-    path: Path,
-    about: dict[str, Any],
-    samples: list[Sample],
-    arrived: Array,
-    format: Any,
-    names: Any,
-    units: Any,
-    counters: dict[str, int],
-    remarks: list[str],
-) -> Recording:
-    start = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0
+def _times(samples: list[Sample], arrived: Array, remarks: list[str]) -> tuple[Array, float]:
+    """Return times from 0, and when that was since 1970 [s]: by the board's clock, if it is one."""
+    start, times = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0, None
     board_us = [sample.time_us for sample in samples]
-    times = None
     if samples and None not in board_us:
         times, ppm = board_times(arrived - start, np.array(board_us) / 1e6)
         if times is None:
@@ -458,10 +464,7 @@ def _recording(
             remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
     times = arrival_times(arrived - start) if times is None else times
     first = float(times.min()) if len(times) else 0.0
-    return Recording(
-        path, about, samples, arrived, times - first, start + first, format, tuple(names), tuple(units),
-        dict(counters), tuple(remarks),
-    )  # fmt: skip
+    return times - first, start + first
 
 
 def _stands_still(samples: list[Sample]) -> bool:

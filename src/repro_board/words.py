@@ -106,16 +106,20 @@ class Watched(Protocol):
     @property
     def robot(self) -> Robot:
         """Whose shape is estimated."""
+        ...
 
     @property
     def moment(self) -> Moment:
         """The newest moment; a later one takes its place."""
+        ...
 
     def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread; what fails there is told."""
+        ...
 
     def blinded(self, view: str, error: BaseException) -> str:
         """Take note that a view has failed, and say so."""
+        ...
 
 
 def moment(facts: Facts, made_s: float, *, with_shape: bool) -> Moment:
