@@ -540,11 +540,11 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     headless = len(names) == 5 and table.columns[0] == "column 1" and there.all(1).any()
     if headless and 0.9 < np.nanmedian(np.linalg.norm(values[:, 1:], axis=1)) < 1.1:
         names = ["stream", "qw", "qx", "qy", "qz"]
-    refused = [refusal for name, refusal in table.refusals.items() if name in table.columns]
-    if "stream" in names and refused:
-        raise refused[0]
     if "stream" in names:
-        own = [k for k, name in enumerate(names) if name != "stream"]
+        if (column := table.columns[names.index("stream")]) in table.refusals:
+            raise table.refusals[column]
+        usable = [column not in table.refusals for column in table.columns]
+        own = [k for k, name in enumerate(names) if name != "stream" and usable[k]]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
         short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
         several, own_number = len(streams) > 1, ("qx", "qy", "qz", "qw")
@@ -557,15 +557,7 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
     else:
         return table
-    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
-    group, seen, keys = np.zeros(len(values), dtype=int), set[int](), which.tolist()
-    cut = 0 if together else cut_turn(keys, keys)
-    for i, key in enumerate(keys):
-        new = i > 0 and (
-            key in seen or i == cut or (together and times is not None and times[i] != times[i - 1])
-        )
-        seen = {key} if new else seen | {key}
-        group[i] = group[i - 1] + new if i else 0
+    group = _turns(which.tolist(), times)
     found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
     found[group, which] = turn
     if (n := len(values)) > len(found):
@@ -575,6 +567,22 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
         [table.lines[k] for k in last], None if times is None else times[last], (), table.refusals,
     )  # fmt: skip
+
+
+def _turns(streams: list[int], times: Array | None) -> Array:
+    """Return the number of the turn to which each row of a stream belongs."""
+    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
+    group, seen, cut = (
+        np.zeros(len(streams), dtype=int),
+        set[int](),
+        0 if together else cut_turn(streams, streams),
+    )
+    for i, key in enumerate(streams):
+        later = together and times is not None and times[i] != times[i - 1]
+        new = i > 0 and (key in seen or i == cut or later)
+        seen = {key} if new else seen | {key}
+        group[i] = group[i - 1] + new if i else 0
+    return group
 
 
 def cut_turn(order: Sequence[int], streams: Sequence[int]) -> int:

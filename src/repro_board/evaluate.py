@@ -200,8 +200,8 @@ def calibrate_files(
     q, rows = measured.q[use], np.nan_to_num(values[use])  # orientations are not calibrated here
     kept = [place for place, there in zip(where, use, strict=True) if there]
     found = calibrate(arm, q, rows, q_covariance=sigma, tolerances=TOLERANCES, rows=kept)
-    text = calibration_report(found, q, rows)
-    return Report("\n".join([*remarks, text, written(path, calibration_text(found), owner)]), found)
+    remarks += [calibration_report(found, q, rows), written(path, calibration_text(found), owner)]
+    return Report("\n".join(remarks), found)
 
 
 def _in_poses(

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, InputError, require, whole
+from repro.common import Array, InputError, bad_input, require, whole
 from repro.estimators.base import Estimate, NearMagnets, evenly, trajectory
 from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
 from repro.robot import Robot
@@ -144,7 +144,7 @@ class Session:
         with_shape: bool = False,
     ) -> None:
         self.follower, self.port, self.writer, self.with_shape = follower, port, writer, with_shape
-        source = self.robot.source
+        self.robot, source = follower.robot, follower.robot.source
         self.parser = Parser(format or (source.stream.get("format") if source else None))
         self.steps = Steps(self.robot, source=self.parser)
         self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Any]]()
@@ -158,11 +158,6 @@ class Session:
         self.latencies = deque[float](maxlen=5000)
         self.counts: deque[tuple[float, dict[str, int]]] = deque(maxlen=round(WINDOW_S / SAMPLE_S))
         self.moment = self.look()
-
-    @property
-    def robot(self) -> Robot:
-        """Whose shape is estimated."""
-        return self.follower.robot
 
     def run(self, duration_s: float = math.inf) -> None:
         """Follow the port until ``stop`` is set, the time is over, or a file cannot be written."""
@@ -387,8 +382,8 @@ def live(
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
     described = load_robot(robot)
-    must = "one whose file states the noise of its readings"
-    require(described.total_noise is not None, "robot", "live", must, Path(robot).name)
+    if described.total_noise is None:
+        raise bad_input("robot", "live", "one whose file states the noise of its readings", Path(robot).name)
     known = None if calibration is None else load_calibration(calibration, described)
     arm = described if known is None else known.robot
     follower, console = Follower(arm, estimator, failed, grown, known), Console(stderr=True)

@@ -125,8 +125,7 @@ def view(
         {"name": role, "role": role, "points": _packed(curve, 0.1)} for role, curve in curves.items()
     ]
     if covariance is not None:
-        spread = 1e3 * _deviations(robot, kept[names["estimate"]], kept["covariance"])
-        shapes[-1]["deviation"] = _packed(spread, 0.01)
+        shapes[-1]["deviation"] = _deviations(robot, kept[names["estimate"]], kept["covariance"])
     ends = [curve[:, -1] for curve in curves.values()]
     start = int(np.linalg.norm(ends[-1] - ends[0], axis=-1).argmax())
     parts = {"magnets": robot.magnets, "sensors": robot.sensors}
@@ -172,12 +171,12 @@ def _along(robot: Robot) -> list[Any]:
     ]
 
 
-def _deviations(robot: Robot, q: Array, covariance: Array) -> Array:
-    """Largest standard deviation [m] in any direction of the points along the backbone ``[t, k]``."""
+def _deviations(robot: Robot, q: Array, covariance: Array) -> str:
+    """Largest standard deviation in any direction of the points along the backbone ``[t, k]``."""
     T, twists = robot.motion(q, _along(robot))
     slopes = twists[..., 3:] + np.cross(twists[..., :3], T[..., None, :3, 3])
     spread = np.einsum("tkci,tcd,tkdj->tkij", slopes, covariance, slopes)
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0))
+    return _packed(1e3 * np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0)), 0.01)
 
 
 def _trace(u: Array, unit: str) -> dict[str, Any]:

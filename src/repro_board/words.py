@@ -103,15 +103,8 @@ class Moment(NamedTuple):
 class Watched(Protocol):
     """What those who show a session may see of it, and tell it."""
 
-    @property
-    def robot(self) -> Robot:
-        """Whose shape is estimated."""
-        ...
-
-    @property
-    def moment(self) -> Moment:
-        """The newest moment; a later one takes its place."""
-        ...
+    robot: Robot
+    moment: Moment
 
     def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread; what fails there is told."""

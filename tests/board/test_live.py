@@ -391,6 +391,7 @@ def test_what_was_asked_for_and_what_cannot_be_told_is_noted():
         "Every ± is 1.5 times what the estimator states.",
     ]
     session.follower = Follower(ROBOT.replaced(sensors=ROBOT.sensors[:6]))
+    session.robot = session.follower.robot
     session.last = 0.0, U[0, :6], SimpleNamespace(details={"status": UNCHECKED})
     assert noted(session) == [
         "There are no more readings than unknowns: a wrong sensor looks like another shape."
@@ -728,5 +729,5 @@ def test_a_chip_too_near_a_magnet_is_left_out_and_said():
     assert {int(x.details["status"]) for x in found} == {0}
     assert np.abs(np.array([x.q for x in found]) - q).max() < 2e-3
     session = session_of()
-    session.follower, session.last = follower, (0.4, u[-1], found[-1])
+    session.follower, session.robot, session.last = follower, robot, (0.4, u[-1], found[-1])
     assert any(text.startswith("inside is so close to a magnet") for text in said(session))

@@ -469,6 +469,17 @@ class TestQuaternions:
         assert np.argwhere(np.isnan(readings)).tolist() == [[5, 0], [5, 1], [5, 2]]
         np.testing.assert_allclose(readings[6], self.turns()[6], atol=1e-5)
 
+    def test_text_beside_the_streams_is_left_alone_and_a_stream_of_text_refused(self, tmp_path):
+        rows = self.table().splitlines()
+        text = "\n".join([f"{rows[0]},status", *(f"{row},OK" for row in rows[1:])]) + "\n"
+        np.testing.assert_allclose(self.arm().readings(written(tmp_path, text)), self.turns(), atol=1e-5)
+        text = (
+            "\n".join([rows[0], *(row.replace(",3,", ",a,").replace(",7,", ",b,") for row in rows[1:])])
+            + "\n"
+        )
+        with pytest.raises(InputError, match="line 2, column stream, must be a number; instead received 'a'"):
+            self.arm().readings(written(tmp_path, text))
+
     def test_a_log_may_begin_in_the_middle_of_a_turn(self, tmp_path):
         printed = self.table(order="wxyz").splitlines()[1:]
         text = "\n".join(line.partition(",")[2] for line in printed[1:]) + "\n"
