@@ -607,6 +607,10 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     table = read_table(source)
     remarks, infinite = list(table.remarks), np.isinf(table.values)
     _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
+    n = sum(sensor.axes for sensor in robot.sensors)
+    if not robot.imus and len(table.columns) == n and all(map(_UNNAMED.fullmatch, table.columns)):
+        table, words = taken_in_order(robot, table, n)
+        remarks += words
     columns = columns_of(robot, table, remarks)
     check_orientations(robot, columns, table)
     u, why = rows_of(robot, columns, table.values)
@@ -614,6 +618,23 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     readings.times, readings.lines = table.times, np.asarray(table.lines)
     readings.remarks = (*remarks, *losses(robot, why))
     return readings
+
+
+def taken_in_order(robot: Robot, table: Table, n: int) -> tuple[Table, list[str]]:
+    """Return a table whose first n columns mean channels, or readings in their order, and the words for it.
+
+    So it is where its own names mean no channel of the robot.
+    """
+    own, rest, words = table.names[:n], table.names[n:], list[str]()
+    for other in (tuple(f"u{k + 1}" for k in range(n)), tuple(robot.names[:n])):
+        try:
+            columns_of(robot, table, [])
+            break
+        except InputError:
+            table = table._replace(columns=(*other, *rest), names=(*other, *rest))
+            said = f"{', '.join(own)} are taken for {', '.join(other)}, in this order."
+            words = [said] if own != other else []
+    return table, words
 
 
 def columns_of(robot: Robot, table: Table, remarks: list[str]) -> Columns:

@@ -108,7 +108,7 @@ def track_file(
     calibration: Path | str | None = None,
     estimator: str = "",
     smooth: bool = False,
-    failed: Sequence[Any] = (),
+    failed: Sequence[int | str] = (),
     rate_hz: float | None = None,
 ) -> Report:
     """Estimate the shape from a recording or a table of readings, and write the estimates as a table."""
@@ -297,7 +297,7 @@ def evaluate_files(
     fitted = _fitted(arm, both, parts, sigma, [f"{Path(readings).name}, line {k}" for k in u.lines])
     truth = both.poses(fitted.lag)
     shapes = _estimated(arm, both, parts, fitted)
-    if plain := _interpolated(arm, both, parts, truth, sigma):
+    if (plain := _interpolated(arm, both, parts, truth, sigma)) is not None:
         shapes["readings interpolated"] = plain
     shape = _given(arm, both, parts, truth[parts.rest])
     table = errors_table(shape, sigma, shapes)
@@ -325,7 +325,7 @@ def _together(
     lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s)
     at_poses = Signal.of(t, clean).at(times + lag)
     q = in_axes_of_the_readings(robot, q, measured.known.get("turned", {}), at_poses, lines)
-    still: Any = frozen(q, times + lag, t, clean, np.asarray(robot.total_noise))
+    still = frozen(q, times + lag, t, clean, np.asarray(robot.total_noise))
     if still.any():
         when = some([f"{x:.2f} s" for x in times[still & ~np.roll(still, 1)]])
         lines.append(

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,14 +23,15 @@ import numpy as np
 
 from repro.common import Array, InputError, bad_input, require, whole
 from repro.estimators.base import Estimate, NearMagnets, evenly, trajectory
+from repro.estimators.calibration import Calibration
 from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
 from repro.robot import Robot
 from repro.robot_file import load_calibration, load_robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
-from repro_board.record import Writer, open_port, stopping
-from repro_board.steps import Steps
+from repro_board.record import Port, Writer, open_port, stopping
+from repro_board.steps import Step, Steps
 from repro_board.wire import Parser
-from repro_board.words import SILENT_S, Facts, Moment, moment, notes, summary, suspects
+from repro_board.words import SILENT_S, Facts, Moment, Row, moment, notes, summary, suspects
 
 BURST, LOOK_S, SHAPES = 64, 0.05, 200
 """Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
@@ -55,9 +56,9 @@ class Follower:
         self,
         robot: Robot,
         name: str = "",
-        failed: Sequence[Any] = (),
+        failed: Sequence[int | str] = (),
         grown: float = 1.0,
-        calibration: Any = None,
+        calibration: Calibration | None = None,
     ) -> None:
         owner = "live"
         self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
@@ -74,7 +75,7 @@ class Follower:
     def begin(self) -> None:
         """Forget everything."""
         self.state: Any = self.monitor.init()
-        self.said: dict[str, Any] = {"status": 0}
+        self.said: Mapping[str, Any] = {"status": 0}
         self._inner: Any = None
         self._burst, self._looked = BURST, -math.inf
         self._near = NearMagnets.of(self.robot, self.robot.n_readings)
@@ -127,6 +128,9 @@ class PortState(NamedTuple):
     lost: str
 
 
+Item = bytes | PortState | str | BaseException
+
+
 class Session:
     """A port with its parser and estimator.
 
@@ -137,7 +141,7 @@ class Session:
     def __init__(
         self,
         follower: Follower,
-        port: Any,
+        port: Port,
         writer: Writer | None = None,
         format: str | None = None,
         *,
@@ -147,11 +151,11 @@ class Session:
         self.robot, source = follower.robot, follower.robot.source
         self.parser = Parser(format or (source.stream.get("format") if source else None))
         self.steps = Steps(self.robot, source=self.parser)
-        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Any]]()
+        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Item]]()
         self.remarks: dict[str, float] = {}  # and when each was made last
-        self.each: Callable[[Any], None] = lambda _: None
-        self.pending: deque[tuple[float, Any]] = deque()
-        self.last: tuple[float, Array, Estimate] | None = None
+        self.each: Callable[[Row], None] = lambda _: None
+        self.pending = deque[tuple[float, Step]]()
+        self.last: Row | None = None
         self.began = self.heard = self.estimated_at = time.monotonic()
         self.own = {"bytes": 0, "time_steps": 0, "estimates": 0, "skipped": 0}
         self.lost = self.blind = self.refusal = ""
@@ -238,7 +242,7 @@ class Session:
         if self.pending:
             self._estimate(*self.pending.popleft())
 
-    def _take(self, at: float, item: bytes | PortState | str | BaseException) -> None:
+    def _take(self, at: float, item: Item) -> None:
         match item:
             case bytes():
                 self._parse(at, item)
@@ -265,7 +269,7 @@ class Session:
         self.own["time_steps"] += len(found)
         self.pending.extend((at, step) for step in found)
 
-    def _estimate(self, at: float, step: Any) -> None:
+    def _estimate(self, at: float, step: Step) -> None:
         try:
             found = self.follower.step(step.u, step.time_s)
         except InputError as error:  # of this row; the next one may do
@@ -331,7 +335,7 @@ class Table:
     """
 
     def __init__(self, path: Path, session: Session) -> None:
-        self.path, self.session, self.waiting = path, session, deque[Any]()
+        self.path, self.session, self.waiting = path, session, deque[Row]()
         self.robot, self.monitor = session.robot, session.follower.monitor
         session.each = self.waiting.append
         self._thread = threading.Thread(target=session.guarded, args=(self._write_all,), daemon=True)
@@ -365,7 +369,7 @@ def live(
     output: Path | None = None,
     browser: bool = False,
     browser_socket: int = 0,
-    failed: Sequence[Any] = (),
+    failed: Sequence[int | str] = (),
     baud: int = 115200,
     duration_s: float = math.inf,
     estimates: Path | None = None,

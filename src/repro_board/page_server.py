@@ -52,6 +52,9 @@ MOST_PAGES = 5
 """A browser has six connections to an address; by the sixth it hears that there is no room."""
 
 
+Json = dict[str, Any]
+
+
 class PageServer:
     """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
 
@@ -89,7 +92,7 @@ class PageServer:
     async def _serve(self) -> None:
         routes = [("/events", _Events, {"server": self}), ("/.*", _File, {"server": self})]
         application = web.Application(routes, log_function=lambda _: None)
-        limits: dict[str, Any] = {"max_header_size": 8192, "max_body_size": 1024}
+        limits: Json = {"max_header_size": 8192, "max_body_size": 1024}
         server = httpserver.HTTPServer(
             application, idle_connection_timeout=ASK_S, body_timeout=ASK_S, **limits
         )
@@ -187,7 +190,7 @@ class _Events(_File):
             server.pages.discard(self)
 
 
-def scene(robot: Robot) -> dict[str, Any]:
+def scene(robot: Robot) -> Json:
     """Return what the page needs once: names of the readings, and what the viewer draws in."""
     name, q = robot.source.name if robot.source else "robot", np.zeros((1, robot.n_q))
     if robot.lower is not None and robot.upper is not None:
@@ -207,9 +210,9 @@ def scene(robot: Robot) -> dict[str, Any]:
     return {"robot": name, "readings": robot.names, "unit": unit, "shape": shape | more}
 
 
-def message(seen: Moment) -> dict[str, Any]:
+def message(seen: Moment) -> Json:
     """Return what a page is told of a moment. One that nothing takes the place of is old."""
-    told: dict[str, Any] = {
+    told: Json = {
         "doubt": "old" if time.monotonic() - seen.made_s > SILENT_S else seen.doubt,
         "numbers": seen.numbers,
         "summary": dict(seen.summary),
@@ -229,13 +232,13 @@ def message(seen: Moment) -> dict[str, Any]:
     return told
 
 
-def _blind(why: str) -> dict[str, Any]:
+def _blind(why: str) -> Json:
     """Return what a page is told where a message cannot be made: that what it shows is old, and why."""
-    empty: dict[str, Any] = {"summary": {}, "notes": [], "suspects": []}
+    empty: Json = {"summary": {}, "notes": [], "suspects": []}
     return {"doubt": "old", "numbers": ["not known"], "alarms": [why], **empty}
 
 
-def _packed(told: dict[str, Any]) -> str:
+def _packed(told: Json) -> str:
     return json.dumps(told, separators=(",", ":"), allow_nan=False)  # a browser reads no NaN
 
 

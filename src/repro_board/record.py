@@ -60,6 +60,9 @@ _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
 _WRAP_S = 2**32 / 1e6
 
 
+Json = dict[str, Any]
+
+
 class Port:
     """A serial port or a socket that is opened again, as often as it must, whenever it is lost.
 
@@ -156,7 +159,7 @@ class Writer:
         If the disk is full or refuses: from then on nothing is recorded.
     """
 
-    def __init__(self, path: str | Path, about: dict[str, Any]) -> None:
+    def __init__(self, path: str | Path, about: Json) -> None:
         self.path, self.received = Path(path), 0
         self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
         # The clock of the day may be set while we record, so it is read once.
@@ -184,7 +187,7 @@ class Writer:
         """Mark that the port was opened again: what comes next need not follow what came before."""
         self._append(b"O", unix_ns, b"")
 
-    def close(self, end: dict[str, Any] | None = None) -> None:
+    def close(self, end: Json | None = None) -> None:
         """Write the end, wait for the disk, close; may be called again."""
         if self._closing.is_set():
             return
@@ -321,7 +324,7 @@ class Recording(NamedTuple):
     """
 
     path: Path
-    about: dict[str, Any]
+    about: Json
     samples: list[Sample]
     arrived: Array
     times: Array
@@ -441,7 +444,7 @@ def _parsed(blocks: dict[int, _Block], parser: Parser) -> tuple[list[Sample], Ar
     return samples, np.array(stamps, dtype=np.int64)[began] / 1e9
 
 
-def _json(content: bytes) -> dict[str, Any]:
+def _json(content: bytes) -> Json:
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

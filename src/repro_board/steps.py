@@ -11,7 +11,17 @@ import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import Columns, Table, check_orientations, columns_of, cut_turn, losses, rows_of, spread
+from repro.tables import (
+    Columns,
+    Table,
+    check_orientations,
+    columns_of,
+    cut_turn,
+    losses,
+    rows_of,
+    spread,
+    taken_in_order,
+)
 from repro_board.wire import WRAP, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
@@ -242,18 +252,9 @@ class Steps:
         columns = names if len(said) == n or by_number else [f"column {k + 1}" for k in range(n)]
         lines, units = range(1, len(rows) + 1), (*units, *[""] * len(imus))
         table = Table("the board", (*columns, *imus), (*names, *imus), units, rows, lines, None)
-        others, words = [numbered, self._robot.names[:n]], ""
         in_order = n == sum(x.axes for x in self._robot.sensors) and not any(map(_NUMBERED.fullmatch, said))
-        while in_order and others:
-            try:
-                columns_of(self._robot, table, [])
-                break
-            except InputError:
-                other = (*others.pop(0), *imus)
-                table = table._replace(columns=other, names=other)
-                words = f"{', '.join(names)} are taken for {', '.join(other[:n])}, in this order."
-                words *= names != other[:n]
-        self.remarks[:0] = [words] * bool(words)
+        table, words = taken_in_order(self._robot, table, n) if in_order else (table, [])
+        self.remarks[:0] = words
         return table
 
     def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:

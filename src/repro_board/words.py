@@ -35,6 +35,10 @@ _DAMAGED = ("checksum_errors", "malformed", "oversized")
 _ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
 
 
+Row = tuple[float, Array, Estimate]
+"""Time [s], readings and estimate of a time step."""
+
+
 class Facts(NamedTuple):
     """What a session knows of itself at one time."""
 
@@ -42,7 +46,7 @@ class Facts(NamedTuple):
     estimator: str
     failed: tuple[int, ...]
     grown: float
-    last: tuple[float, Array, Estimate] | None
+    last: Row | None
     """Time [s], readings and estimate of the newest time step that was estimated."""
     age_s: float
     """How old that is; zero while it is of now."""

@@ -341,3 +341,66 @@ def test_a_log_that_begins_in_the_middle_of_a_turn_is_the_same_as_a_table_and_fr
 def test_streams_that_come_in_the_other_order_begin_no_turn_early():
     found = readings(Steps(ARM), [turned(k, 0.1 * k) for k in (3, 2, 1)] * 3)
     np.testing.assert_allclose(found, [[0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0]] * 3, atol=1e-15)
+
+
+SKETCHES = {
+    "commas": "{},{},{}",
+    "semicolons": "{}; {}; {}",
+    "tabs": "{}\t{}\t{}",
+    "blanks": "{} {}  {}",
+    "a list": "[{}, {}, {}]",
+    "tuples": "({}, {}, {}),",
+    "bytes": "b'{},{},{}\\r\\n'",
+    "JSON": '{{"u1": {}, "u2": {}, "u3": {}}}',
+    "labels with one unit for all": "u1: {} u2: {} u3: {} uT",
+    "labels between blanks and commas": "u1: {} uT, u2={} uT u3:{}uT",
+    "a plotter": ">u1:{}§uT\n>u2:{}§uT\n>u3:{}§uT",
+}
+
+
+@pytest.mark.parametrize("form", SKETCHES.values(), ids=SKETCHES)
+def test_what_a_sketch_prints_is_the_same_in_a_file_and_from_a_port(tmp_path, form):
+    u = np.random.default_rng(0).normal(size=(9, 3)).round(3)
+    text = "".join(f"{form.format(*row)}\n" for row in u)
+    (tmp_path / "log.txt").write_text(text, encoding="utf-8")
+    table = CHIP.readings(tmp_path / "log.txt")
+    np.testing.assert_allclose(table, u * (1e-3 if "uT" in form else 1.0), rtol=1e-12)
+    parser = Parser()
+    steps = Steps(CHIP, source=parser)
+    found = [step.u for step in steps.feed(parser.feed(b"\n" + text.encode()), 0.0)]
+    np.testing.assert_array_equal(found, table[: 8 if ">" in form else 9])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "400,1.5,2",
+        "400,1.5,2.5,3.5420,1.5,2.5,3.5",
+        "400,1..5,2.5,3.5",
+        "400,\0\0\0,2.5,3.5",
+        "load: 40, len 7",
+    ],
+)
+def test_a_damaged_line_costs_itself_in_a_file_and_from_a_port(tmp_path, damage):
+    rows = [f"{20 * k},{k}.5,{k + 1}.5,{k + 2}.25" for k in range(40)]
+    text = "\n".join(["millis,u1,u2,u3", *rows[:20], damage, *rows[21:]]) + "\n"
+    (tmp_path / "log.txt").write_text(text)
+    table, parser = CHIP.readings(tmp_path / "log.txt"), Parser()
+    found = Steps(CHIP, source=parser).feed(parser.feed(b"\n" + text.encode()), 0.0)
+    assert len(found) == 39
+    np.testing.assert_array_equal([step.u for step in found], table)
+    assert any("1 of 4" in remark and "left out" in remark for remark in table.remarks)
+    assert parser.counters["malformed"] == 1
+
+
+def test_numbers_without_names_are_readings_in_their_order_in_a_file_and_from_a_port(tmp_path):
+    by_name = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=["Bx", "By", "Bz"])])
+    text = "".join(f"{k}.5,{k + 1}.5,{k + 2}.25\n" for k in range(9))
+    (tmp_path / "log.txt").write_text(text)
+    table, parser = by_name.readings(tmp_path / "log.txt"), Parser()
+    steps = Steps(by_name, source=parser)
+    found = steps.feed(parser.feed(b"\n" + text.encode()), 0.0)
+    np.testing.assert_array_equal([step.u for step in found], table)
+    words = "u1, u2, u3 are taken for Bx, By, Bz, in this order."
+    assert words in table.remarks
+    assert words in steps.remarks
