@@ -155,13 +155,13 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
         owner, kind = "the table", type(source).__name__
         require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
         cells = _frame(_with_times(source.infer_objects(), remarks), owner)
-    header, split, values, lines, refusals = cells
+    header, split, values, lines, refusals, _ = cells
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
     clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
     for k in clock:
         if header[k] in refusals:
             raise refusals[header[k]]
-    times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
+    times = _times(cells, clock, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
     columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
     infinite = np.isinf(values[:, keep])
@@ -178,13 +178,14 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
 
 
 class _Cells(NamedTuple):
-    """Columns, their names and units, numbers, their lines, and by column why it cannot be used."""
+    """Columns, their names and units, numbers and lines; why a column cannot be used; where names came again."""
 
     header: list[str]
     split: list[tuple[str, str]]
     values: Array
     lines: Sequence[int]
     refusals: dict[str, InputError]
+    restarts: Sequence[int] = ()
 
 
 def _frame(frame: Any, owner: str) -> _Cells:
@@ -239,16 +240,17 @@ def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
     if text[-1] not in "\r\n" and len(kept) > 2:
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
-            line, _ = kept.pop()
-            words = "does not end, and its last cell may be cut: it is left out."
-            remarks.append(f"Line {line} of {owner} {words}")
+            cut = "does not end, and its last cell may be cut: it is left out."
+            remarks.append(f"Line {kept.pop()[0]} of {owner} {cut}")
     marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
     mark, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
     if mark == ":":
         rows, lines = _labelled(kept), [0, *lines]
     else:
         rows = [_cells(line, mark, owner) for _, line in kept]
+    printed = list(zip(rows, lines, strict=True))
     names, units, rows, lines, damaged = _named(rows, lines, mark, owner, remarks)
+    restarts = [line for row, line in printed if row == names][1:]
     header = [printable(name) for name in names or ()] or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
     split = _split(None if names is None else header, units, rows[0], owner, remarks)
     values, bad = _values(rows, [k for k, (name, _) in enumerate(split) if is_time(name)])
@@ -258,7 +260,7 @@ def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
         why = f"damaged and left out (the first: line {damaged[0]})"
         _count(len(damaged), len(rows) + len(damaged) - len(spoilt), f"lines of {owner}", why, remarks)
     use = [k for k in range(len(rows)) if k not in spoilt]
-    return _Cells(header, split, values[use], [lines[k] for k in use], refusals)
+    return _Cells(header, split, values[use], [lines[k] for k in use], refusals, restarts)
 
 
 def _joined(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
@@ -470,16 +472,9 @@ def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
         remarks.append(f"{n} of {of} {what} {'is' if n == 1 else 'are'} {why}.")
 
 
-def _times(
-    values: Array,
-    header: Sequence[str],
-    split: Any,
-    clock: list[int],
-    lines: Sequence[int],
-    owner: str,
-    remarks: list[str],
-) -> Array:
+def _times(cells: _Cells, clock: list[int], owner: str, remarks: list[str]) -> Array:
     """Return the times of the rows [s]."""
+    header, split, values, lines, *_ = cells
     days = [k for k in clock if split[k][0].lower() in DATES]
     rest = [k for k in clock if k not in days] or days
     stated = [k for k in rest if split[k][1]] or rest
@@ -493,8 +488,13 @@ def _times(
     times = values[:, k] * SECONDS.get(unit, 1.0)
     bad = [lines[i] for i in np.flatnonzero(~np.isfinite(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
+    usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for line in cells.restarts:
+        k = int(np.searchsorted(lines, line))
+        if 0 < k < len(times) and times[k] < times[k - 1]:
+            times[k:] += times[k - 1] + usual - times[k]
+            remarks.append(f"The board began again in line {line} of {owner}: times go on from those before.")
     step = np.diff(times)
-    usual = float(np.median(step)) if len(step) else 0.0
     require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
     period = _period(times, unit, usual)
     if days != rest:

@@ -396,8 +396,8 @@ def live(
         opened = open_now.enter_context(closing(open_port(port, baud)))
         writer = None
         if output is not None:
-            about = {"port": port, "baud": baud, "format": format}
-            writer = open_now.enter_context(closing(Writer(output, about)))
+            writer = Writer(output, {"port": port, "baud": baud, "format": format})
+            open_now.enter_context(closing(writer))
         session = Session(follower, opened, writer, format, with_shape=browser)
         session.stop = stop or session.stop
         open_now.enter_context(stopping(session.stop))

@@ -585,6 +585,24 @@ def test_what_stands_below_the_names(tmp_path, head, factor, remarks):
     assert readings.remarks == remarks
 
 
+def test_a_board_that_begins_again_in_the_middle_of_a_log(tmp_path):
+    """It prints its names again. Times that go back without them are refused."""
+    rows = [f"{50 * k},1.5,2.5,{k}" for k in range(40)]
+    boot = ["ets Jul 29 2019 12:21:46", "Temp: 23.5, Hum: 41", "3,2,1"]
+    text = "\n".join(["millis,u1,u2,u3", *rows[:30], *boot, "millis,u1,u2,u3", *rows[:10]]) + "\n"
+    readings = robot().readings(written(tmp_path, text))
+    np.testing.assert_allclose(readings.times, 0.05 * np.arange(40))
+    assert readings[:, 2].tolist() == [*range(30), *range(10)]
+    again = "The board began again in line 35 of mine.csv: times go on from those before."
+    assert readings.remarks[:3] == (
+        "3 of 45 lines of mine.csv are text and left out.",
+        "1 of 41 lines of mine.csv is damaged and left out (the first: line 34).",
+        again,
+    )
+    with pytest.raises(InputError, match="did the board start again"):
+        read_table(written(tmp_path, text.replace("3,2,1\nmillis,u1,u2,u3\n", "")))
+
+
 def test_empty_rows_at_the_end_are_left_out_and_counted(tmp_path):
     readings = robot().readings(written(tmp_path, lines() + ",,,\n" * 3))
     assert len(readings) == 3
