@@ -232,18 +232,25 @@ def text_of(path: Path, remarks: list[str]) -> str:
         return content.decode("cp1252", errors="replace")
 
 
-def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
+def _printed(text: str, owner: str, remarks: list[str]) -> list[tuple[int, str]]:
+    """Return the lines with anything in them, and their numbers; the last one may be cut."""
     kept = _joined([(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)])
     kept = [(k, _bare(line)) for k, line in kept if line.strip() and not line.startswith("sep=")]
-    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
-    require(plain, "file", owner, "a table", "nothing")
-    if text[-1] not in "\r\n" and len(kept) > 2:
+    if len(kept) > 2 and text[-1] not in "\r\n":
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
             cut = "does not end, and its last cell may be cut: it is left out."
             remarks.append(f"Line {kept.pop()[0]} of {owner} {cut}")
+    return kept
+
+
+def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
+    kept = _printed(text, owner, remarks)
+    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
+    require(plain, "file", owner, "a table", "nothing")
+    lines = [k for k, _ in kept]
     marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
-    mark, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
+    mark = marks.most_common(1)[0][0]
     if mark == ":":
         rows, lines = _labelled(kept), [0, *lines]
     else:
@@ -257,8 +264,8 @@ def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
     refusals, spoilt = _judged(bad, rows, lines, header, split, owner)
     damaged = sorted([*damaged, *(lines[k] for k in spoilt)])
     if damaged:
-        why = f"damaged and left out (the first: line {damaged[0]})"
-        _count(len(damaged), len(rows) + len(damaged) - len(spoilt), f"lines of {owner}", why, remarks)
+        n, first = len(rows) + len(damaged) - len(spoilt), f"(the first: line {damaged[0]})"
+        _count(len(damaged), n, f"lines of {owner}", f"damaged and left out {first}", remarks)
     use = [k for k in range(len(rows)) if k not in spoilt]
     return _Cells(header, split, values[use], [lines[k] for k in use], refusals, restarts)
 

@@ -649,6 +649,10 @@ REFUSED = {
     ),
     "names alone": ("time_s,u1_mT\n", "file must be a line of names and lines of numbers"),
     "nothing": ("\n\n", "file must be a table; instead received nothing."),
+    "comments and the beginning of a line": (
+        "# a, bc\n# d, ef\n1,2",
+        "file must be a table; instead received nothing.",
+    ),
     "unknown names": (
         lines(header=["time_s", "Höhe_1", "Höhe_2", "Höhe_3"]),
         "columns must be one column for sensor 1: u1_mT, channel_1, or sensor 1; instead rec",
