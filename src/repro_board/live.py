@@ -182,12 +182,12 @@ class Session:
         self.settle()
 
     def settle(self) -> None:
-        """Raise what has failed in another thread."""
+        """Take in what other threads have said last, without bytes; raise what has failed there."""
         with suppress(queue.Empty):
             while True:
-                _, item = self.inbox.get_nowait()
-                if isinstance(item, BaseException):
-                    raise item
+                at, item = self.inbox.get_nowait()
+                if not isinstance(item, bytes):
+                    self._take(at, item)
 
     def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread. What fails there ends the session, and ``run`` raises it.

@@ -649,6 +649,9 @@ def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatc
     session.turn()
     assert session.own["estimates"] == 51
     assert noted(session) == [failed]
+    session.blinded("page", ValueError("late"))
+    session.settle()
+    assert noted(session)[0].startswith("The page has failed")
 
 
 def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatch):
