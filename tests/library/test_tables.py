@@ -548,15 +548,14 @@ def test_a_merged_line_without_names_is_damaged_not_the_others(tmp_path):
 
 @pytest.mark.parametrize("cells", [["OK", "OVR", "low"], ["True", "False", "True"], ["0x00", "0x1f", "0xab"]])
 def test_a_column_without_numbers_is_refused_when_it_is_used(tmp_path, cells):
-    text = lines().splitlines()
-    text = (
-        "\n".join([f"{text[0]},status", *(f"{x},{y}" for x, y in zip(text[1:], cells, strict=True))]) + "\n"
-    )
+    """Above the names there is text, too."""
+    rows = [f"{x},{y}" for x, y in zip(lines().splitlines(), ["status", *cells], strict=True)]
+    text = "\n".join(["Logger v1.2", "Serial No: 4711", *rows]) + "\n"
     np.testing.assert_allclose(robot().readings(written(tmp_path, text)), ROWS[:, 1:])
     frame = pd.DataFrame(ROWS, columns=HEADER).assign(status=cells)
     np.testing.assert_allclose(robot().readings(frame), ROWS[:, 1:])
     by_name = robot().replaced(sensors=[Sensor(1, 0.1, channels=[c]) for c in (1, 2, "status")])
-    message = rf"cell of mine.csv, line 2, column status, must be a number; instead received '{cells[0]}'"
+    message = rf"cell of mine.csv, line 4, column status, must be a number; instead received '{cells[0]}'"
     with pytest.raises(InputError, match=message):
         by_name.readings(tmp_path / "mine.csv")
     with pytest.raises(InputError, match="column status of the table must be of numbers; instead"):
