@@ -468,9 +468,10 @@ def test_a_port_is_recorded_until_ctrl_c(board, tmp_path, opened):
 
     def play() -> None:
         opened.wait(5)
-        for frame in frames(range(120), 10_000):
+        began = time.monotonic()
+        for k, frame in enumerate(frames(range(120), 10_000)):
+            time.sleep(max(0.0, began + 0.01 * k - time.monotonic()))
             board.send(frame)
-            time.sleep(0.01)
         until(lambda: samples_in(path) == 120)
         os.kill(os.getpid(), signal.SIGINT)
 
