@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import struct
 import sys
-import zlib
 from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,8 +20,7 @@ from repro_board.wire import encode
 
 HEAD = struct.Struct("<4sc3xIIIqI")
 """Of a block, with its checksum: see the table in :mod:`repro_board.record`."""
-OLD_HEAD = struct.Struct("<4scxHII")
-KINDS = ("frames", "csv", "first edition")
+KINDS = ("frames", "csv")
 
 
 def values(k: int) -> list[float]:
@@ -30,26 +28,8 @@ def values(k: int) -> list[float]:
     return [k + 0.5, (k * 7919) % 1000 - 500.25, k % 7 + 1.125]
 
 
-def old_block(kind: bytes, width: int, count: int, content: bytes) -> bytes:
-    """Return a block of the first edition."""
-    head = struct.pack("<4scxHI", b"RRB1", kind, width, count)
-    return head + struct.pack("<I", zlib.crc32(head + content)) + content
-
-
 def write(path: Path, kind: str, n: int, rng: np.random.Generator) -> None:
     """Write a recording of samples 0 to n - 1, in blocks that are cut anywhere."""
-    if kind == "first edition":
-        head = b'{"format": "frames", "start_unix_s": 1.7e9, "start_host_ns": 1000}'
-        blocks = [old_block(b"H", 0, len(head), head)]
-        for k in range(0, n, 4):
-            rows = [
-                struct.pack("<qIIHBB3d", 2000 + k, j * 1000, j, 0, 3, 3, *values(j)) for j in range(k, k + 4)
-            ]
-            blocks.append(old_block(b"F", 3, 4, b"".join(rows)))
-        path.write_bytes(b"".join(blocks))
-        beside = f'{{"start_host_ns": 1000, "ended": "stopped", "counters": {{"frames": {n}}}}}'
-        path.with_name(f"{path.name}.json").write_text(beside)
-        return
     lines = ("".join(f"{value}," for value in values(k))[:-1] + "\r\n" for k in range(n))
     frames = (encode(values(k), sequence=k, time_us=1000 * k) for k in range(n))
     data = b"".join(frames) if kind == "frames" else b"\n" + "".join(lines).encode()
@@ -64,11 +44,7 @@ def starts(data: bytes) -> list[int]:
     """Return where the blocks of a whole recording begin, and its length."""
     at = [0]
     while at[-1] < len(data):
-        if data.startswith(b"RRB1"):
-            _, kind, width, count, _ = OLD_HEAD.unpack_from(data, at[-1])
-            at.append(at[-1] + OLD_HEAD.size + count * (20 + 8 * width if kind == b"F" else 1))
-        else:
-            at.append(at[-1] + HEAD.size + HEAD.unpack_from(data, at[-1])[4])
+        at.append(at[-1] + HEAD.size + HEAD.unpack_from(data, at[-1])[4])
     return at
 
 

@@ -6,44 +6,44 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, bad_input, printable, require
+from repro.common import Array, InputError, bad_input, printable, require
+from repro.lines import (
+    DATES,
+    SECONDS,
+    SI,
+    TO_MT,
+    UNITS,
+    is_clock,
+    is_missing,
+    is_number,
+    is_time,
+    labelled,
+    name_and_unit,
+    number,
+    plotted,
+    seconds,
+    separator,
+    unit_of,
+    unwrapped,
+)
 from repro.parts import Assembly, Sensor
 
-_TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
-SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-_SI = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
-_UNITS = {unit.lower(): unit for unit in (*_TO_MT, *_SI, "mV", "V", "raw")} | {"counts": "raw"}
-_DATES = ("date", "datum")
-TIMES = {
-    "t": "", "time": "", "timestamp": "", "elapsed": "", "elapsed time": "", "seconds": "s", "sec": "s",
-    "seconds_elapsed": "s", "millis": "ms", "milliseconds": "ms", "ms": "ms", "micros": "us", "microseconds": "us",
-    "us": "us", **dict.fromkeys(_DATES, ""),
-}  # fmt: skip
-"""Names of a column of times, and the unit that a name says."""
-_IN_BRACKETS = re.compile(r"(.*?)[ _]*[(\[] *(.*?) *[)\]]")
 _DIGITS = re.compile(r"[-+.0-9eE]*")
-_MISSING = re.compile(
-    r"|nan|na|n/a|null|none|--?|ovf|-?1\.#\w+|#n/?[av]|##+|#[^\W\d][\w/]*[!?]", re.IGNORECASE
-)
-"""Also what a spreadsheet writes, in any language: #N/A, #NV, #DIV/0!, and ##### where a column is too narrow."""
 _COMMENT = ("#", "%")
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _UNNAMED = re.compile(r"column \d+")
-_CLOCK = re.compile(r"(?=\d)(\d{4}-\d\d-\d\d)?[T ]?(\d\d:\d\d:\d\d\S*)?", re.ASCII)
-_LABEL = re.compile(
-    r"([^\W\d][\w./()\[\]]*) *[:=] *([+-]?[\d.]+(?:[eE][+-]?\d+)?(?=[^\W\d]*(?:[\s,;]|$))|[^\s,;:=]*)"
-    r"(?: *([^\W\d]+)(?=[\s,;]|$))?[\s,;]*"
-)
-"""A label, its number and perhaps a unit, such as ``x: 1.5 uT``."""
+_FEW = 20
+"""One line of so many may be damaged: it is left out and counted, as a port does. Of more the first is refused."""
+_HINT = "; decimal commas need another separator, such as ;"
+_CLOCKS = "a time such as 14:02:11.5 or 2024-05-03 14:02:11.5"
 
 
 class Readings(np.ndarray):
@@ -99,7 +99,7 @@ class Table(NamedTuple):
     """Numbers of a table, NaN where there is none, with the names and units of their columns.
 
     ``lines`` are the lines of a file, or the rows of a data frame from 1; times are in seconds. ``remarks`` say what
-    was left out or put together.
+    was left out or put together, ``refusals`` why a column cannot be used, if anybody wants it.
     """
 
     owner: str
@@ -110,39 +110,14 @@ class Table(NamedTuple):
     lines: Sequence[int]
     times: Array | None
     remarks: tuple[str, ...] = ()
+    refusals: Mapping[str, InputError] = MappingProxyType({})
 
     def scaled(self, name: str, units: Sequence[str] = ("",)) -> tuple[Array, str]:
         """Return the column of a name in SI units, and its own unit; refuse other units than those named."""
         k = _column(self, name, name)
         unit, expected = self.units[k], " or ".join(units) or "no unit"
         require(unit in units, f"column {self.columns[k]}", self.owner, f"in {expected}", unit)
-        return self.values[:, k] * _SI.get(unit, 1.0), unit
-
-
-def name_and_unit(column: str) -> tuple[str, str]:
-    """Split the name of a column from its unit.
-
-    Examples
-    --------
-    >>> name_and_unit("Mag X (uT)"), name_and_unit("/board/u1_mT"), name_and_unit("time_ms"), name_and_unit("x_1")
-    (('Mag X', 'uT'), ('u1', 'mT'), ('time', 'ms'), ('x_1', ''))
-    """
-    text = column.strip().replace("µ", "u").replace("μ", "u")
-    text = text.rsplit("/", 1)[-1] if text.startswith("/") else text
-    if found := _IN_BRACKETS.fullmatch(text):
-        return found[1], _UNITS.get(found[2].lower(), found[2])
-    name, _, unit = text.rpartition("_")
-    if is_time(name) and unit.lower() in SECONDS:
-        return name, unit.lower()
-    if name and unit.lower() in _UNITS:
-        return name, _UNITS[unit.lower()]
-    return text, TIMES.get(text.lower(), "")
-
-
-def is_time(name: str) -> bool:
-    """Return whether a column of this name has times."""
-    low = name.lower().strip("_ ")
-    return name != "T" and (low in TIMES or low.startswith(("time", "zeit", "seconds")))  # T is a temperature
+        return self.values[:, k] * SI.get(unit, 1.0), unit
 
 
 def read_table(source: Any, rate_hz: float | None = None) -> Table:
@@ -153,8 +128,9 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     with ``#`` or ``%`` are comments, other text is left out, and a line of units below the names is read. Without
     names the columns are u1, u2 and so on. A first column without a name is an index and is left out; the index of a
     data frame is the time if it has moments or fractions, or is called so. Times are numbers or those of a clock;
-    counters of 32 bits that start again from 0 are put on. Streams that take turns (a column ``stream``, or one
-    number a line) are put together to one row for each turn.
+    counters of 32 or 16 bits that start again from 0 are put on. Streams that take turns (a column ``stream``, or one
+    number a line) are put together to one row for each turn. A line of twenty that is damaged is left out and
+    counted. A column without numbers is refused when it is used.
 
     Parameters
     ----------
@@ -171,28 +147,26 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     if isinstance(source, Table):
         return source
     remarks: list[str] = []
-    lines: Sequence[int]
     if isinstance(source, str | Path):
         owner = printable(Path(source).name)
         require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
-        header, split, values, lines = _file(text_of(Path(source), remarks), owner, remarks)
+        cells = _file(text_of(Path(source), remarks), owner, remarks)
     else:
         owner, kind = "the table", type(source).__name__
         require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
-        frame = _with_times(source.infer_objects(), remarks)
-        header, lines = [str(name) for name in frame.columns], range(1, len(frame) + 1)
-        split = [name_and_unit(column) for column in header]
-        for name, dtype in zip(header, frame.dtypes, strict=True):
-            require(dtype.kind in "fiu", f"column {name}", owner, "of numbers", f"{dtype} values")
-        values = frame.to_numpy(dtype=float, na_value=np.nan)
+        cells = _frame(_with_times(source.infer_objects(), remarks), owner)
+    header, split, values, lines, refusals, _ = cells
     require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
     clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
-    times = _times(values, header, split, clock, lines, owner, remarks) if clock else None
+    for k in clock:
+        if header[k] in refusals:
+            raise refusals[header[k]]
+    times = _times(cells, clock, owner, remarks) if clock else None
     keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
     columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
     infinite = np.isinf(values[:, keep])
     values = np.where(infinite, np.nan, values[:, keep])
-    table = Table(owner, tuple(columns), tuple(names), tuple(units), values, lines, times)
+    table = Table(owner, tuple(columns), tuple(names), tuple(units), values, lines, times, (), refusals)
     table = _put_together(table, remarks)
     times = table.times
     if times is not None:
@@ -201,6 +175,27 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
         times = np.arange(len(table.values)) / rate_hz
     _count(int(infinite.sum()), infinite.size, f"numbers of {owner}", "missing: infinite", remarks)
     return table._replace(times=times, remarks=tuple(remarks))
+
+
+class _Cells(NamedTuple):
+    """Columns, their names and units, numbers and lines; why a column cannot be used; where names came again."""
+
+    header: list[str]
+    split: list[tuple[str, str]]
+    values: Array
+    lines: Sequence[int]
+    refusals: dict[str, InputError]
+    restarts: Sequence[int] = ()
+
+
+def _frame(frame: Any, owner: str) -> _Cells:
+    header, values, refusals = [str(name) for name in frame.columns], np.full(frame.shape, np.nan), {}
+    for k, (name, dtype) in enumerate(zip(header, frame.dtypes, strict=True)):
+        if dtype.kind in "fiu":
+            values[:, k] = frame.iloc[:, k].to_numpy(dtype=float, na_value=np.nan)
+        else:
+            refusals[name] = bad_input(f"column {name}", owner, "of numbers", f"{dtype} values")
+    return _Cells(header, [name_and_unit(x) for x in header], values, range(1, len(frame) + 1), refusals)
 
 
 def _with_times(frame: Any, remarks: list[str]) -> Any:
@@ -227,7 +222,7 @@ def text_of(path: Path, remarks: list[str]) -> str:
     content = path.read_bytes()
     marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
-        if b"\0" in content[:1000] and not marked:
+        if 10 * content[:1000].count(0) > len(content[:1000]) and not marked:  # fewer are damage
             words = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
             raise bad_input("file", path.name, "text in UTF-8, or in UTF-16 with a byte order mark", words)
         return content.decode("utf-16" if marked else "utf-8-sig")
@@ -237,75 +232,70 @@ def text_of(path: Path, remarks: list[str]) -> str:
         return content.decode("cp1252", errors="replace")
 
 
-def _file(
-    text: str, owner: str, remarks: list[str]
-) -> tuple[list[str], list[tuple[str, str]], Array, list[int]]:
-    """Return the columns, their names and units, the numbers, and their lines."""
-    kept = [(k, _bare(line)) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)]
-    kept = [(k, line) for k, line in kept if line.strip() and not line.startswith("sep=")]
-    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
-    require(plain, "file", owner, "a table", "nothing")
-    if text[-1] not in "\r\n" and len(kept) > 2:
+def _printed(text: str, owner: str, remarks: list[str]) -> list[tuple[int, str]]:
+    """Return the lines with anything in them, and their numbers; the last one may be cut."""
+    kept = _joined([(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)])
+    kept = [(k, _bare(line)) for k, line in kept if line.strip() and not line.startswith("sep=")]
+    if len(kept) > 2 and text[-1] not in "\r\n":
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
-            line, _ = kept.pop()
-            remarks.append(
-                f"Line {line} of {owner} does not end, and its last cell may be cut: it is left out."
-            )
-    marks = Counter(map(_separator, plain[:: 1 + len(plain) // 500]))
-    separator, lines = marks.most_common(1)[0][0], [k for k, _ in kept]
-    if separator == ":":
+            cut = "does not end, and its last cell may be cut: it is left out."
+            remarks.append(f"Line {kept.pop()[0]} of {owner} {cut}")
+    return kept
+
+
+def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
+    kept = _printed(text, owner, remarks)
+    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
+    require(plain, "file", owner, "a table", "nothing")
+    lines = [k for k, _ in kept]
+    marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
+    mark = marks.most_common(1)[0][0]
+    if mark == ":":
         rows, lines = _labelled(kept), [0, *lines]
     else:
-        rows = [_cells(line, separator, owner) for _, line in kept]
-    names, units, rows, lines = _named(rows, lines, separator, owner, remarks)
+        rows = [_cells(line, mark, owner) for _, line in kept]
+    printed = list(zip(rows, lines, strict=True))
+    names, units, rows, lines, damaged = _named(rows, lines, mark, owner, remarks)
+    restarts = [line for row, line in printed if row == names][1:]
     header = [printable(name) for name in names or ()] or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
-    split = [name_and_unit(name) for name in header]
-    if names is None:
-        first = int(_CLOCK.fullmatch(rows[0][0]) is not None)
-        split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(header) + 1 - first)]
-        require(len(header) > first, "table", owner, "of times and numbers", "times alone")
-        remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
-    split = [
-        (name, own or _UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
-        for (name, own), unit, cell in zip(split, units, rows[0], strict=True)
-    ]
-    at = [k for k, (name, _) in enumerate(split) if is_time(name)]
-    comma = not any("." in cell and ":" not in cell for row in rows for cell in row)
-    values = np.full((len(rows), len(header)), np.nan)
-    for k, row in enumerate(rows):
-        with suppress(ValueError):  # most rows are plain numbers, and this is four times as fast
-            if _DIGITS.fullmatch("".join(row)):
-                values[k] = [float(cell) for cell in row]
-                continue
-        for c, cell in enumerate(row):
-            try:
-                clock = c in at and _CLOCK.fullmatch(cell)
-                values[k, c] = _seconds(cell) if clock else _number(cell.replace(",", ".") if comma else cell)
-            except ValueError as error:
-                where = f"{owner}, line {lines[k]}, column {header[c] or 'without a name'},"
-                raise bad_input("cell", where, "a time" if c in at else "a number", repr(cell)) from error
-    return header, split, values, lines
+    split = _split(None if names is None else header, units, rows[0], owner, remarks)
+    values, bad = _values(rows, [k for k, (name, _) in enumerate(split) if is_time(name)])
+    refusals, spoilt = _judged(bad, rows, lines, header, split, owner)
+    damaged = sorted([*damaged, *(lines[k] for k in spoilt)])
+    if damaged:
+        n, first = len(rows) + len(damaged) - len(spoilt), f"(the first: line {damaged[0]})"
+        _count(len(damaged), n, f"lines of {owner}", f"damaged and left out {first}", remarks)
+    use = [k for k in range(len(rows)) if k not in spoilt]
+    return _Cells(header, split, values[use], [lines[k] for k in use], refusals, restarts)
+
+
+def _joined(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Put lines together that one quoted cell spans, as a name with its unit below it may."""
+    found: list[tuple[int, str]] = []
+    quotes = 0
+    for k, line in lines:
+        own = line.count('"')
+        if quotes % 2 and own:
+            found[-1] = found[-1][0], f"{found[-1][1]} {line}"
+            quotes += own
+        else:
+            found.append((k, line))
+            quotes = own
+    return found
 
 
 def _bare(line: str) -> str:
     """Return a line without what Python, JSON and plotters put around the numbers."""
-    line = line.strip(" ").removeprefix(">")
-    if line[:2] in ("b'", 'b"'):
-        line = re.sub(r"(\\r)?(\\n)?['\"]$", "", line[2:])
-    return line[1:-1] if line[:1] in ("(", "[", "{") and line[-1:] in (")", "]", "}") else line
-
-
-def _separator(line: str) -> str:
-    return ":" if _labels(line) else next((mark for mark in "\t;," if mark in line), " ")
+    single = plotted(line)
+    return ":".join(single) if single else unwrapped(line)
 
 
 def _labels(line: str) -> dict[str, str]:
     """Return the numbers in a line by their labels, with units; none if there is anything else in it."""
-    stamp, arrow, rest = line.replace('"', "").rpartition(" -> ")
-    found = [] if _LABEL.sub("", rest).strip() else _LABEL.findall(rest)
-    named = {f"{name} [{unit}]" if unit else name: cell for name, cell, unit in found}
-    return {"time": stamp, **named} if arrow and found else named
+    stamp, arrow, rest = line.rpartition(" -> ")
+    found = labelled(rest)
+    return {"time": stamp, **found} if arrow and found else found
 
 
 def _labelled(kept: list[tuple[int, str]]) -> list[list[str]]:
@@ -319,23 +309,19 @@ def _labelled(kept: list[tuple[int, str]]) -> list[list[str]]:
     return [names, *rows]
 
 
-def _cells(line: str, separator: str, owner: str) -> list[str]:
+def _cells(line: str, mark: str, owner: str) -> list[str]:
     stamp, arrow, line = line.rpartition(" -> ")
     try:
-        by_mark = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+        by_mark = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
     except csv.Error as error:
         raise bad_input("file", owner, "a table", error) from error
-    found = line.split() if separator == " " else by_mark
+    found = line.split() if mark == " " else by_mark
     return [cell.strip() for cell in ([stamp, *found] if arrow else found)]
-
-
-def _is_number(cell: str) -> bool:
-    return any(kind.fullmatch(cell) for kind in (_NUMBER, _CLOCK, _MISSING))
 
 
 def _is_comment(cell: str) -> bool:
     """Return whether a line that begins with this cell is a comment; a spreadsheet's #N/A is a missing number."""
-    return cell.startswith(_COMMENT) and not _MISSING.fullmatch(cell)
+    return cell.startswith(_COMMENT) and not is_missing(cell)
 
 
 def _filled(row: Sequence[str]) -> int:
@@ -347,46 +333,144 @@ def _filled(row: Sequence[str]) -> int:
 
 
 def _named(
-    rows: list[list[str]], lines: list[int], separator: str, owner: str, remarks: list[str]
-) -> tuple[list[str] | None, list[str], list[list[str]], list[int]]:
-    """Return names (None if there are none), units, cells and lines of a table; refuse lines of another form."""
+    rows: list[list[str]], lines: list[int], mark: str, owner: str, remarks: list[str]
+) -> tuple[list[str] | None, list[str], list[list[str]], list[int], list[int]]:
+    """Return names (None if there are none), units, cells and lines of a table, and lines that are damaged."""
     plain = [k for k, row in enumerate(rows) if not (row and _is_comment(row[0]))]
     width = Counter(len(rows[k]) for k in plain).most_common(1)[0][0]
-    whole = (k for k, row in enumerate(rows) if len(row) == width and all(map(_is_number, row)) and any(row))
-    first = next(whole, plain[0] + 1)
+    first = _first(rows, plain, width)
     above = [k for k in plain if k < first]
     rows, lines = [rows[k] for k in above] + rows[first:], [lines[k] for k in above] + lines[first:]
-    first = j = len(above)
-    names, units = None, []
-    if j and any(rows[j - 1]) and {cell.lower() for cell in rows[j - 1]} <= {*_UNITS, *SECONDS, "", "-"}:
-        j, units = j - 1, rows[j - 1]
-    if j and (len(rows[j - 1]) > 1 or width == 1) and not all(map(_is_number, rows[j - 1])):
-        j, names = j - 1, rows[j - 1]
-        if any(re.fullmatch(r"[+-]?\d*[.,]\d+", cell) for cell in names):
-            word = next(cell for cell in names if not _is_number(cell))
-            raise bad_input(
-                "cell", f"{owner}, line {lines[j]},", "a number, or all of them names", repr(word)
-            )
-    _count(j, len(rows), f"lines of {owner}", "above the table and left out", remarks)
-    body = [
+    n, (names, units, lost) = len(above), _head(rows[: len(above)], width, lines, owner)
+    _count(lost, len(rows), f"lines of {owner}", "above the table and left out", remarks)
+    end = len(rows)
+    while end > n and not any(rows[end - 1]):
+        end -= 1
+    _count(len(rows) - end, len(rows), f"lines of {owner}", "empty, at the end, and left out", remarks)
+    own = [
         k
-        for k in range(first, len(rows))
+        for k in range(n, end)
         if not _is_comment(rows[k][0])
-        and (any(map(_is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names))
+        and (any(map(is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names))
     ]
-    _count(len(rows) - first - len(body), len(rows), f"lines of {owner}", "text and left out", remarks)
-    require(body, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    rows, lines = [rows[k] for k in body], [lines[k] for k in body]
-    own, n = _filled(names or []), max(_filled(row) for row in [names or [], *rows])
-    hint = "; decimal commas need another separator, such as ;"
-    for line, row in zip(lines, rows, strict=True):
-        if len(row) < n or (names and own < n):
-            words = "as the line of names" + hint * (own < n) if names else "as the others"
-            raise bad_input(f"line {line}", owner, f"of {own or n} cells, {words}", len(row))
-    cells = [cell for row in rows for cell in row] if separator == "," and not names else []
+    _count(end - n - len(own), len(rows), f"lines of {owner}", "text and left out", remarks)
+    require(own, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
+    body, at = [rows[k] for k in own], [lines[k] for k in own]
+    n, damaged = _damaged(body, names, at, owner)
+    use = [k for k in range(len(body)) if k not in damaged]
+    cells = [cell for k in use for cell in body[k]] if mark == "," and not names else []
     if any(re.fullmatch(r"0\d+", cell) for cell in cells) and not any("." in cell for cell in cells):
-        raise bad_input("file", owner, f"of numbers with decimal points{hint}", "numbers such as 0123")
-    return names and names[:n], [*units, *n * [""]][:n], [row[:n] for row in rows], lines
+        raise bad_input("file", owner, f"of numbers with decimal points{_HINT}", "numbers such as 0123")
+    return (
+        names and names[:n], [*units, *n * [""]][:n], [body[k][:n] for k in use], [at[k] for k in use],
+        [at[k] for k in sorted(damaged)],
+    )  # fmt: skip
+
+
+def _first(rows: list[list[str]], plain: list[int], width: int) -> int:
+    """Return the first line with numbers in all columns that have any in most lines: others may have text."""
+    found = [k for k in plain if len(rows[k]) == width and any(rows[k])]
+    some = [[is_number(cell) for cell in rows[k]] for k in found[:: 1 + len(found) // 200]]
+    numeric = np.mean([row for row in some if any(row)] or [[False] * width], axis=0) >= 0.5
+    numeric = numeric if numeric.any() else np.ones(width, dtype=bool)
+    whole = (k for k in found if all(is_number(x) for x, own in zip(rows[k], numeric, strict=True) if own))
+    return next(whole, plain[0] + 1)
+
+
+def _head(
+    above: list[list[str]], width: int, lines: Sequence[int], owner: str
+) -> tuple[list[str] | None, list[str], int]:
+    """Return names and units in the lines above the numbers, and how many of these say nothing."""
+
+    def may_name(row: list[str]) -> bool:
+        return (len(row) > 1 or width == 1) and not all(map(is_number, row))
+
+    j, names, units, lost = len(above), None, [], 0
+    if j and any(above[j - 1]) and None not in (found := [unit_of(cell) for cell in above[j - 1]]):
+        j, units = j - 1, [unit or "" for unit in found]
+    # Names differ from each other; below them some programs write a line of types.
+    while (
+        j > 1
+        and may_name(above[j - 2])
+        and len({*above[j - 2]}) == len(above[j - 2]) == len(above[j - 1]) > len({*above[j - 1]})
+    ):
+        j, lost = j - 1, lost + 1
+    if j and may_name(above[j - 1]):
+        j, names = j - 1, above[j - 1]
+        if any(re.fullmatch(r"[+-]?\d*[.,]\d+", cell) for cell in names):
+            word, where = next(cell for cell in names if not is_number(cell)), f"{owner}, line {lines[j]},"
+            raise bad_input("cell", where, "a number, or all of them names", repr(word))
+    return names, units, j + lost
+
+
+def _damaged(
+    body: list[list[str]], names: list[str] | None, lines: Sequence[int], owner: str
+) -> tuple[int, set[int]]:
+    """Return how many cells a line has, and which lines have others; refuse more than a few."""
+    sizes = [_filled(row) for row in body]
+    usual = max(
+        size
+        for size, k in Counter(sizes).items()
+        if _FEW * k > len(body) or k == max(Counter(sizes).values())
+    )
+    n = _filled(names) if names else usual
+    damaged = {k for k, row in enumerate(body) if len(row) < n or sizes[k] > n}
+    if damaged and _FEW * len(damaged) > len(body):
+        k = min(damaged)
+        words = "as the line of names" + _HINT * (sizes[k] > n) if names else "as the others"
+        raise bad_input(f"line {lines[k]}", owner, f"of {n} cells, {words}", len(body[k]))
+    return n, damaged
+
+
+def _split(
+    header: list[str] | None, units: list[str], row: list[str], owner: str, remarks: list[str]
+) -> list[tuple[str, str]]:
+    """Return names and units of columns; without a line of names a first column of clock times has one."""
+    if header is None:
+        first = int(is_clock(row[0]))
+        split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(row) + 1 - first)]
+        require(len(row) > first, "table", owner, "of times and numbers", "times alone")
+        remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
+    else:
+        split = [name_and_unit(name) for name in header]
+    return [
+        (name, own or UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
+        for (name, own), unit, cell in zip(split, units, row, strict=True)
+    ]
+
+
+def _values(rows: list[list[str]], clock: list[int]) -> tuple[Array, dict[int, list[int]]]:
+    """Return the numbers of cells, and by column the rows in which there is none."""
+    comma = not any("." in cell and ":" not in cell for row in rows for cell in row)
+    values, bad = np.full((len(rows), len(rows[0])), np.nan), dict[int, list[int]]()
+    for k, row in enumerate(rows):
+        with suppress(ValueError):  # most rows are plain numbers, and this is four times as fast
+            if _DIGITS.fullmatch("".join(row)):
+                values[k] = [float(cell) for cell in row]
+                continue
+        for c, cell in enumerate(row):
+            try:
+                at = c in clock and is_clock(cell)
+                values[k, c] = seconds(cell) if at else number(cell.replace(",", ".") if comma else cell)
+            except ValueError:
+                bad.setdefault(c, []).append(k)
+    return values, bad
+
+
+def _judged(
+    bad: dict[int, list[int]], rows: list[list[str]], lines: Sequence[int], header: list[str],
+    split: list[tuple[str, str]], owner: str,
+) -> tuple[dict[str, InputError], set[int]]:  # fmt: skip
+    """Return why columns cannot be used in which many cells are no numbers, and the rows of few such cells."""
+    spoilt = {k for own in bad.values() if _FEW * len(own) <= len(rows) for k in own}
+    spoilt = spoilt if _FEW * len(spoilt) <= len(rows) else set()
+    refusals = {}
+    for c, own in bad.items():
+        if not spoilt.issuperset(own):
+            where = f"{owner}, line {lines[own[0]]}, column {header[c] or 'without a name'},"
+            must = _CLOCKS if is_time(split[c][0]) else "a number"
+            refusals[header[c]] = bad_input("cell", where, must, repr(rows[own[0]][c]))
+    return refusals, spoilt
 
 
 def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
@@ -395,35 +479,15 @@ def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
         remarks.append(f"{n} of {of} {what} {'is' if n == 1 else 'are'} {why}.")
 
 
-def _number(cell: str) -> float:
-    if _MISSING.fullmatch(cell):
-        return math.nan
-    if "," in cell or not _NUMBER.fullmatch(cell):  # float would take digits of any script, and underscores
-        raise ValueError(cell)
-    return float(cell)
-
-
-def _seconds(cell: str) -> float:
-    """Return seconds since 1970, or since midnight if there is no date, by the clock that wrote them."""
-    moment = datetime.fromisoformat(cell if "-" in cell[:5] else f"1970-01-01T{cell}")
-    return moment.replace(tzinfo=UTC).timestamp()
-
-
-def _times(
-    values: Array,
-    header: Sequence[str],
-    split: Any,
-    clock: list[int],
-    lines: Sequence[int],
-    owner: str,
-    remarks: list[str],
-) -> Array:
+def _times(cells: _Cells, clock: list[int], owner: str, remarks: list[str]) -> Array:
     """Return the times of the rows [s]."""
-    days = [k for k in clock if split[k][0].lower() in _DATES]
+    header, split, values, lines, *_ = cells
+    days = [k for k in clock if split[k][0].lower() in DATES]
     rest = [k for k in clock if k not in days] or days
     stated = [k for k in rest if split[k][1]] or rest
     k = stated[0]
-    require(len(stated) == 1, f"column {header[stated[-1]]}", owner, "the only one of times", "another")
+    must = "the only one of times (rename the others: a name such as clock_2 is no time)"
+    require(len(stated) == 1, f"column {header[stated[-1]]}", owner, must, "another")
     if other := [header[c] for c in rest if c != k]:
         remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[k]}.")
     unit, name = split[k][1], f"column {header[k]}"
@@ -431,12 +495,15 @@ def _times(
     times = values[:, k] * SECONDS.get(unit, 1.0)
     bad = [lines[i] for i in np.flatnonzero(~np.isfinite(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
+    usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for line in cells.restarts:
+        k = int(np.searchsorted(lines, line))
+        if 0 < k < len(times) and times[k] < times[k - 1]:
+            times[k:] += times[k - 1] + usual - times[k]
+            remarks.append(f"The board began again in line {line} of {owner}: times go on from those before.")
     step = np.diff(times)
-    usual = float(np.median(step)) if len(step) else 0.0
     require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
-    # A clock starts again at midnight, a counter of the board after 32 bits.
-    ticks = 2**32 * SECONDS.get(unit, 1.0)
-    period = ticks if unit in ("ms", "us") else 86400.0 if unit == "s" and times.max() < 86400 else math.inf
+    period = _period(times, unit, usual)
     if days != rest:
         times = times + values[:, days].sum(axis=1)
     if not days and (again := step < -period / 2).any():
@@ -444,6 +511,16 @@ def _times(
         line = list(lines)[int(again.argmax()) + 1]
         remarks.append(f"Times of {owner} start again from 0 in line {line}: they are put on.")
     return times
+
+
+def _period(times: Array, unit: str, usual: float) -> float:
+    """Return when times start again [s]: at midnight, or where the 32 or 16 bits of a counter end."""
+    if unit not in ("ms", "us"):
+        return 86400.0 if unit == "s" and times.max() < 86400 else math.inf
+    short, step = 2**16 * SECONDS[unit], np.diff(times)
+    over = step[step < -short / 2] + short
+    goes_on = len(over) and times.max() < short and (over > 0).all() and (over <= 3 * usual).all()
+    return short if goes_on else 2**32 * SECONDS[unit]
 
 
 def spread(times: Array, lines: Sequence[int], owner: str, remarks: list[str]) -> Array:
@@ -467,11 +544,14 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     values, names, times = table.values, list(table.names), table.times
     there = np.isfinite(values)
     # Boards print the number of an IMU, then its quaternion.
-    headless = len(names) == 5 and table.columns[0] == "column 1"
+    headless = len(names) == 5 and table.columns[0] == "column 1" and there.all(1).any()
     if headless and 0.9 < np.nanmedian(np.linalg.norm(values[:, 1:], axis=1)) < 1.1:
         names = ["stream", "qw", "qx", "qy", "qz"]
     if "stream" in names:
-        own = [k for k, name in enumerate(names) if name != "stream"]
+        if (column := table.columns[names.index("stream")]) in table.refusals:
+            raise table.refusals[column]
+        usable = [column not in table.refusals for column in table.columns]
+        own = [k for k, name in enumerate(names) if name != "stream" and usable[k]]
         streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
         short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
         several, own_number = len(streams) > 1, ("qx", "qy", "qz", "qw")
@@ -484,12 +564,7 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
         which, turn, columns, units = there.argmax(1), values[there][:, None], table.columns, table.units
     else:
         return table
-    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
-    group, seen = np.zeros(len(values), dtype=int), set[int]()
-    for i, key in enumerate(which.tolist()):
-        new = i > 0 and (key in seen or (together and times is not None and times[i] != times[i - 1]))
-        seen = {key} if new else seen | {key}
-        group[i] = group[i - 1] + new if i else 0
+    group = _turns(which.tolist(), times)
     found = np.full((group[-1] + 1, len(names) // turn.shape[1], turn.shape[1]), np.nan)
     found[group, which] = turn
     if (n := len(values)) > len(found):
@@ -497,8 +572,33 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     last = np.flatnonzero(np.diff(group, append=-1)).tolist()
     return Table(
         table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
-        [table.lines[k] for k in last], None if times is None else times[last],
+        [table.lines[k] for k in last], None if times is None else times[last], (), table.refusals,
     )  # fmt: skip
+
+
+def _turns(streams: list[int], times: Array | None) -> Array:
+    """Return the number of the turn to which each row of a stream belongs."""
+    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
+    group, seen, cut = (
+        np.zeros(len(streams), dtype=int),
+        set[int](),
+        0 if together else cut_turn(streams, streams),
+    )
+    for i, key in enumerate(streams):
+        later = together and times is not None and times[i] != times[i - 1]
+        new = i > 0 and (key in seen or i == cut or later)
+        seen = {key} if new else seen | {key}
+        group[i] = group[i - 1] + new if i else 0
+    return group
+
+
+def cut_turn(order: Sequence[int], streams: Sequence[int]) -> int:
+    """Return how many of the first in an order of streams are the end of a turn: they rise to the highest number.
+
+    In a turn streams come by their numbers, and a log may begin in its middle; 0 if the first turn is whole.
+    """
+    before = list(order[: order.index(min(streams))]) if min(streams) in order else []
+    return len(before) if before and before == sorted({*before}) and before[-1] == max(streams) else 0
 
 
 class Columns(NamedTuple):
@@ -514,6 +614,10 @@ def read_readings(robot: Assembly, source: Any) -> Readings:
     table = read_table(source)
     remarks, infinite = list(table.remarks), np.isinf(table.values)
     _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
+    n = sum(sensor.axes for sensor in robot.sensors)
+    if not robot.imus and len(table.columns) == n and all(map(_UNNAMED.fullmatch, table.columns)):
+        table, words = taken_in_order(robot, table, n)
+        remarks += words
     columns = columns_of(robot, table, remarks)
     check_orientations(robot, columns, table)
     u, why = rows_of(robot, columns, table.values)
@@ -521,6 +625,23 @@ def read_readings(robot: Assembly, source: Any) -> Readings:
     readings.times, readings.lines = table.times, np.asarray(table.lines)
     readings.remarks = (*remarks, *losses(robot, why))
     return readings
+
+
+def taken_in_order(robot: Assembly, table: Table, n: int) -> tuple[Table, list[str]]:
+    """Return a table whose first n columns mean channels, or readings in their order, and the words for it.
+
+    So it is where its own names mean no channel of the robot.
+    """
+    own, rest, words = table.names[:n], table.names[n:], list[str]()
+    for other in (tuple(f"u{k + 1}" for k in range(n)), tuple(robot.names[:n])):
+        try:
+            columns_of(robot, table, [])
+            break
+        except InputError:
+            table = table._replace(columns=(*other, *rest), names=(*other, *rest))
+            said = f"{', '.join(own)} are taken for {', '.join(other)}, in this order."
+            words = [said] if own != other else []
+    return table, words
 
 
 def columns_of(robot: Assembly, table: Table, remarks: list[str]) -> Columns:
@@ -624,16 +745,18 @@ def _column(table: Table, channel: Any, own: str) -> int:
         words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)
+    if table.columns[found[0]] in table.refusals:
+        raise table.refusals[table.columns[found[0]]]
     return found[0]
 
 
 def _factor(table: Table, column: int, sensor: Sensor) -> float:
     """Return what takes a column to mT."""
     unit = table.units[column]
-    if unit in _TO_MT:
-        return _TO_MT[unit]
+    if unit in TO_MT:
+        return TO_MT[unit]
     expected = "in mT or another unit of flux density"
-    expected += "" if sensor.unit in _TO_MT else f", or in {sensor.unit}"
+    expected += "" if sensor.unit in TO_MT else f", or in {sensor.unit}"
     own = unit in ("", sensor.unit) or (unit, sensor.unit) == ("V", "mV")
     require(own, f"column {table.columns[column]}", table.owner, expected, unit)
     return (1e3 if unit == "V" else 1.0) / sensor.per_mt

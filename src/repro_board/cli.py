@@ -162,12 +162,15 @@ def calibrate(
     rate
         Readings per second, where their table has no times.
     """
-    from repro_board.evaluate import calibrate_files
+    from repro_board.evaluate import calibrate_by_motion, calibrate_files
 
-    done = calibrate_files(
-        readings, poses, robot, output, self_=by_motion, pose_noise_mm=pose_noise_mm,
-        pose_noise_deg=pose_noise_deg, rate_hz=rate,
-    )  # fmt: skip
+    if by_motion:
+        require(poses is None, "poses", "repro calibrate", "left out with --self", poses)
+        done = calibrate_by_motion(readings, robot, output, rate_hz=rate)
+    else:
+        done = calibrate_files(
+            readings, poses, robot, output, pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg, rate_hz=rate,
+        )  # fmt: skip
     print(done)
     return 0
 

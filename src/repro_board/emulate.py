@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
+from repro_board.record import Recording, read_recording
 from repro_board.wire import encode, text_line
 
 SPEED = 0.5
@@ -68,6 +69,10 @@ OF_SENSORS = {
 Beside them there are ``magnet``, the distance [mm] of a foreign one of 1 A m^2 from the middle of the straight robot
 along x, and ``noise``, how many times larger it is than stated.
 """
+
+
+Faults = Mapping[str, Any] | Iterable[tuple[str, Any]]
+"""Names and values."""
 
 
 def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
@@ -237,9 +242,7 @@ def built(robot: Robot, tolerances: float, *, seed: int = 0) -> Robot:
     )
 
 
-def faults_named(
-    given: Mapping[str, Any] | Iterable[tuple[str, Any]], robot: Robot | None = None
-) -> dict[str, float]:
+def faults_named(given: Faults, robot: Robot | None = None) -> dict[str, float]:
     """Return the values of all faults that the board of a robot, or of a recording, can have."""
     of_a_robot = {**dict.fromkeys(OF_SENSORS, 0.0), "magnet": 0.0, "noise": 1.0}
     found = OF_THE_LINE | (of_a_robot if robot else {})
@@ -327,7 +330,7 @@ def _readings(
                     yield time_s, stream, rows[i]
 
 
-def _recorded(recording: Any, loop: bool) -> Iterator[tuple[float, int, Array]]:
+def _recorded(recording: Recording, loop: bool) -> Iterator[tuple[float, int, Array]]:
     """Yield time, stream and values of a recording; in a loop it begins again one mean step after its end."""
     times = recording.times - recording.times[0]
     rows = len(set(times.tolist()))
@@ -338,8 +341,8 @@ def _recorded(recording: Any, loop: bool) -> Iterator[tuple[float, int, Array]]:
 
 
 def board_bytes(
-    source: Any, *, rate_hz: float | None = None, poses: Array | None = None, hold_s: float = 2.0,
-    tolerances: float = 0.0, loop: bool = False, faults: Mapping[str, Any] | Iterable[tuple[str, Any]] = (),
+    source: Robot | Recording, *, rate_hz: float | None = None, poses: Array | None = None, hold_s: float = 2.0,
+    tolerances: float = 0.0, loop: bool = False, faults: Faults = (),
     fault_from: float = 0.0, seed: int = 0,
 ) -> Iterator[tuple[float, bytes]]:  # fmt: skip
     """Yield when a board sends [s], and what; no bytes at all: its port disappears until the next ones.
@@ -373,7 +376,9 @@ def board_bytes(
         fits = rate_hz is None and poses is None and not tolerances
         require(fits, "rate, hold_poses, tolerances", "emulate", "left out for a recording", "one of them")
         names = [f"{x}_{unit}" if unit else x for x, unit in zip(source.names, source.units, strict=True)]
-        return _sent(_recorded(source, loop), source.format, names, faults_named(faults), fault_from, seed)
+        return _sent(
+            _recorded(source, loop), str(source.format), names, faults_named(faults), fault_from, seed
+        )
     rate = (source.rate_hz if rate_hz is None else rate_hz) or 0.0
     require(0 < rate < math.inf, "rate", "emulate", "above zero [Hz], here or in the robot file", rate_hz)
     require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
@@ -550,7 +555,7 @@ class Emulator:
 def emulate(
     source: Path, *, rate_hz: float | None = None, speed: float = 1.0, loop: bool = False, tolerances: float = 0.0,
     hold_poses: Path | None = None, hold_s: float | None = None,
-    faults: Mapping[str, Any] | Iterable[tuple[str, Any]] = (), fault_from: float = 0.0, seed: int = 0,
+    faults: Faults = (), fault_from: float = 0.0, seed: int = 0,
     port_file: Path | None = None, socket: int | None = None,
 ) -> int:  # fmt: skip
     """Play a robot file (``.toml``) or a recording into a port until somebody stops it; say what it is and where.
@@ -560,15 +565,15 @@ def emulate(
     these are written to that new table; it stays in the last one. Everything else is as of :func:`board_bytes` and
     :class:`Emulator`.
     """
-    from repro_board.record import read_recording
-
     require(speed > 0, "speed", "emulate", "above zero", speed)
     require(hold_s is None or hold_poses, "hold", "emulate", "left out without hold_poses", hold_s)
     require(socket is None or port_file is None, "port_file", "emulate", "left out with socket", port_file)
-    is_robot = Path(source).suffix == ".toml"
-    require(is_robot or not hold_poses, "hold_poses", "emulate", "left out for a recording", hold_poses)
-    played: Any = load_robot(source) if is_robot else read_recording(source)
-    poses, hold_s = spread_poses(played, seed=seed) if hold_poses else None, 2.0 if hold_s is None else hold_s
+    robot = load_robot(source) if Path(source).suffix == ".toml" else None
+    require(robot or not hold_poses, "hold_poses", "emulate", "left out for a recording", hold_poses)
+    poses, hold_s = None, 2.0 if hold_s is None else hold_s
+    if robot and hold_poses:
+        poses = spread_poses(robot, seed=seed)
+    played = read_recording(source) if robot is None else robot
     sent = board_bytes(
         played, rate_hz=rate_hz, poses=poses, hold_s=hold_s, tolerances=tolerances, loop=loop, faults=faults,
         fault_from=fault_from, seed=seed,
@@ -576,9 +581,9 @@ def emulate(
     first = next(sent)  # what cannot be sent is refused before there is a port
     board = Emulator(chain([first], sent), port_file or socket or 0, speed=speed)
     with contextlib.suppress(KeyboardInterrupt), board:
-        if hold_poses and poses is not None:
-            write_poses(Path(hold_poses), played, poses, hold_s)
-        print(f"{Path(source).name}{', SYNTHETIC' * is_robot}\nPort: {board.address}", flush=True)
+        if robot and hold_poses and poses is not None:
+            write_poses(hold_poses, robot, poses, hold_s)
+        print(f"{Path(source).name}{', SYNTHETIC' if robot else ''}\nPort: {board.address}", flush=True)
         while not board.ended.is_set():  # in short sleeps: an interruption in a wait may leave its lock
             time.sleep(_POLL_S)
     return 0

@@ -1,12 +1,12 @@
 """A robot followed live: bytes from a port become time steps, estimates, and what a person should know of them.
 
-One thread reads the port and writes the recording, which has every byte. The session parses and estimates. If it
-falls behind, it estimates the newest time step and counts those that it leaves out.
+One thread reads the port and writes the recording, which has every byte. The session parses and estimates in a thread
+of its own. If it falls behind, it estimates the newest time step and counts those that it leaves out. What other
+threads tell it comes through its inbox; what they may show of it is its moment, which it replaces 20 times a second.
 """
 
 from __future__ import annotations
 
-import copy
 import gc
 import math
 import queue
@@ -14,48 +14,35 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import Array, InputError, require, whole
+from repro.common import Array, InputError, bad_input, require, whole
 from repro.estimators.base import Estimate, NearMagnets, evenly
-from repro.estimators.monitor import (
-    BEYOND_BOUNDS,
-    FROZEN,
-    INCONSISTENT,
-    LEFT_OUT,
-    SAID,
-    STATUS,
-    TRUSTED,
-    UNCHECKED,
-    UNDETERMINED,
-    Monitor,
-)
+from repro.estimators.calibration import Calibration, load_calibration
+from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
 from repro.estimators.track import trajectory
 from repro.robot import Robot
+from repro.robot_file import load_robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
-from repro_board.record import Writer, open_port, stopping
-from repro_board.steps import Steps
+from repro_board.record import Port, Writer, open_port, stopping
+from repro_board.steps import Step, Steps
 from repro_board.wire import Parser
+from repro_board.words import SILENT_S, Facts, Moment, Row, moment, notes, summary, suspects
 
 BURST, LOOK_S, SHAPES = 64, 0.05, 200
 """Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
 what a calibration left open is known beforehand."""
 BEHIND_S = 0.1
 """A time step that has waited longer [s] is left out if there is a newer one."""
-WINDOW_S, SAMPLE_S, SILENT_S = 2.0, 0.25, 1.0
-"""What counts as happening now, how often counts are kept for that, and after which time nothing comes [s]."""
-DAMAGED = ("checksum_errors", "malformed", "oversized")
+WINDOW_S, SAMPLE_S, MOMENT_S = 2.0, 0.25, 0.05
+"""What counts as happening now, how often counts are kept for that, and time between two moments [s]."""
 SWITCH_S = 5e-4
 """After this time a thread lets another one work [s]; the usual 5 ms are longer than an estimate takes."""
-
-
-BY_BOUNDS = 0.9 / math.sqrt(12)
-"""Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
 
 
 class Follower:
@@ -70,9 +57,9 @@ class Follower:
         self,
         robot: Robot,
         name: str = "",
-        failed: Sequence[Any] = (),
+        failed: Sequence[int | str] = (),
         grown: float = 1.0,
-        calibration: Any = None,
+        calibration: Calibration | None = None,
     ) -> None:
         owner = "live"
         self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
@@ -89,8 +76,9 @@ class Follower:
     def begin(self) -> None:
         """Forget everything."""
         self.state: Any = self.monitor.init()
-        self.said: dict[str, Any] = {"status": 0}
-        self._inner, self._burst, self._looked = None, BURST, -math.inf
+        self.said: Mapping[str, Any] = {"status": 0}
+        self._inner: Any = None
+        self._burst, self._looked = BURST, -math.inf
         self._near = NearMagnets.of(self.robot, self.robot.n_readings)
 
     def warm(self) -> None:
@@ -131,29 +119,50 @@ class Follower:
 
     def suspects(self, found: Estimate | None) -> list[int]:
         """Return the parts that the monitor names."""
-        return [] if found is None else np.flatnonzero(found.details.get("suspects", ())).tolist()
+        return list(suspects(found))
+
+
+class PortState(NamedTuple):
+    """What a port has become: whether it was opened again, and why it is away, if it is."""
+
+    again: bool
+    lost: str
+
+
+Item = bytes | PortState | str | BaseException
 
 
 class Session:
-    """A port with its parser and estimator. Other threads may look at it at any time."""
+    """A port with its parser and estimator.
+
+    Other threads put into ``inbox`` what they have (bytes, a state of the port, which view has failed, an error that
+    ends the session), and show ``moment``. Everything else is the session's own.
+    """
 
     def __init__(
-        self, follower: Follower, port: Any, writer: Writer | None = None, format: str | None = None
+        self,
+        follower: Follower,
+        port: Port,
+        writer: Writer | None = None,
+        format: str | None = None,
+        *,
+        with_shape: bool = False,
     ) -> None:
-        self.follower, self.port, self.writer = follower, port, writer
-        stated = getattr(follower.robot.source, "stream", {}).get("format")
-        self.parser = Parser(format or stated)
-        self.steps = Steps(follower.robot, source=self.parser)
-        self.stop, self.failure, self.blind = threading.Event(), None, ""
+        self.follower, self.port, self.writer, self.with_shape = follower, port, writer, with_shape
+        self.robot, source = follower.robot, follower.robot.source
+        self.parser = Parser(format or (source.stream.get("format") if source else None))
+        self.steps = Steps(self.robot, source=self.parser)
+        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Item]]()
         self.remarks: dict[str, float] = {}  # and when each was made last
-        self.each: Callable[[Any], None] = lambda _: None
-        self.arrivals: queue.SimpleQueue[tuple[float, bytes | None]] = queue.SimpleQueue()
-        self.pending: deque[tuple[float, Any]] = deque()
-        self.last: tuple[float, Array, Estimate] | None = None
+        self.each: Callable[[Row], None] = lambda _: None
+        self.pending = deque[tuple[float, Step]]()
+        self.last: Row | None = None
         self.began = self.heard = self.estimated_at = time.monotonic()
         self.own = {"bytes": 0, "time_steps": 0, "estimates": 0, "skipped": 0}
-        self.refusal, self.latencies = "", deque[float](maxlen=5000)
+        self.lost = self.blind = self.refusal = ""
+        self.latencies = deque[float](maxlen=5000)
         self.counts: deque[tuple[float, dict[str, int]]] = deque(maxlen=round(WINDOW_S / SAMPLE_S))
+        self.moment = self.look()
 
     def run(self, duration_s: float = math.inf) -> None:
         """Follow the port until ``stop`` is set, the time is over, or a file cannot be written."""
@@ -171,64 +180,83 @@ class Session:
             reader.join()
             gc.unfreeze()
             sys.setswitchinterval(before)
-        if self.failure is not None:
-            raise self.failure
+        self.settle()
+
+    def settle(self) -> None:
+        """Take in what other threads have said last, without bytes; raise what has failed there."""
+        with suppress(queue.Empty):
+            while True:
+                at, item = self.inbox.get_nowait()
+                if not isinstance(item, bytes):
+                    self._take(at, item)
 
     def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread. What fails there ends the session, and ``run`` raises it.
 
-        If a view fails the session goes on, because it may be recording; ``blind`` says which view, and why.
+        If a view fails the session goes on, because it may be recording.
         """
         try:
             return work()
         except BaseException as error:
             if view:
-                why = f"{type(error).__name__}: {error}"
-                self.blind = f"The {view} has failed, and the session goes on without it ({why})."
-                return None
-            self.failure = self.failure or error
+                return self.blinded(view, error)
+            self.inbox.put((time.monotonic(), error))
             self.stop.set()
             return None
 
-    def at_once(self) -> Session:
-        """Return the session for a look from another thread: its last estimate stays the same meanwhile."""
-        return copy.copy(self)
+    def blinded(self, view: str, error: BaseException) -> str:
+        """Say that a view has failed and why, in another thread; it is among the notes from then on."""
+        why = f"{type(error).__name__}: {error}"
+        text = f"The {view} has failed, and the session goes on without it ({why})."
+        self.inbox.put((time.monotonic(), text))
+        return text
 
     def _read(self) -> None:
-        opened = self.port.opened
+        state = self.port.opened, self.port.lost
         while not self.stop.is_set():
             data, at = self.port.read(0.05), time.monotonic()
-            if self.port.opened != opened:
-                opened = self.port.opened
-                self.arrivals.put((at, None))
-                if self.writer is not None:
-                    self.writer.opened(self.writer.now_ns())
+            before, state = state, (self.port.opened, self.port.lost)
+            again = state[0] != before[0]
+            if state != before:
+                self.inbox.put((at, PortState(again, state[1])))
             if data:
-                self.arrivals.put((at, data))
-                if self.writer is not None:
-                    self.writer.write(self.writer.now_ns(), data)
+                self.inbox.put((at, data))
+            if self.writer is not None:
+                if again:
+                    self.writer.opened(self.writer.now_ns())
+                self.writer.write(self.writer.now_ns(), data)
 
     def turn(self) -> None:
-        """Take in what has arrived, and estimate one time step."""
+        """Take in what has arrived, estimate one time step, and look if it is time for that."""
         wait, now = not self.pending, time.monotonic()
         if not self.counts or now - self.counts[-1][0] >= SAMPLE_S:
             self.counts.append((now, self.counters()))
-        try:
-            self._take(*self.arrivals.get(wait, 0.05))
+        if now - self.moment.made_s >= MOMENT_S:
+            self.moment = self.look()
+        with suppress(queue.Empty):
+            self._take(*self.inbox.get(wait, MOMENT_S))
             while True:
-                self._take(*self.arrivals.get_nowait())
-        except queue.Empty:
-            pass
+                self._take(*self.inbox.get_nowait())
         if len(self.pending) > 1 and time.monotonic() - self.pending[0][0] > BEHIND_S:
             self.own["skipped"] += len(self.pending) - 1
             self.pending = deque([self.pending[-1]])
         if self.pending:
             self._estimate(*self.pending.popleft())
 
-    def _take(self, at: float, data: bytes | None) -> None:
-        if data is None:
-            self.parser.reopened()
-            return
+    def _take(self, at: float, item: Item) -> None:
+        match item:
+            case bytes():
+                self._parse(at, item)
+            case PortState():
+                self.lost = item.lost
+                if item.again:
+                    self.parser.reopened()
+            case str():
+                self.blind = item
+            case _:
+                raise item
+
+    def _parse(self, at: float, data: bytes) -> None:
         self.heard = at
         self.own["bytes"] += len(data)
         found = []
@@ -242,7 +270,7 @@ class Session:
         self.own["time_steps"] += len(found)
         self.pending.extend((at, step) for step in found)
 
-    def _estimate(self, at: float, step: Any) -> None:
+    def _estimate(self, at: float, step: Step) -> None:
         try:
             found = self.follower.step(step.u, step.time_s)
         except InputError as error:  # of this row; the next one may do
@@ -258,189 +286,46 @@ class Session:
         self.refusal = str(error)
         self.remarks[self.refusal] = time.monotonic()
 
-    def of_now(self) -> str:
-        """Return the last remark since the last estimate, if there is any: those before are no cause of a fault."""
-        late = {at: text for text, at in [*self.remarks.items()] if at > self.estimated_at}
-        return late[max(late)] if late else ""
-
     def counters(self) -> dict[str, int]:
         """Return all counts since the beginning."""
         left_out = {name: n for name, n in self.steps.counters.items() if name != "steps"}
         return {**self.parser.counters, **left_out, **self.own}
 
-    def recent(self) -> tuple[dict[str, int], float]:
-        """Return the counts of the last seconds, and how many these are."""
-        now, counters = time.monotonic(), self.counters()
+    def facts(self) -> Facts:
+        """Return what is known at the moment."""
+        now, counts, follower = time.monotonic(), self.counters(), self.follower
         then, before = self.counts[0] if self.counts else (self.began, {})
-        return {name: n - before.get(name, 0) for name, n in counters.items()}, max(now - then, 1e-3)
+        late = {at: text for text, at in self.remarks.items() if at > self.estimated_at}
+        facts = Facts(
+            self.robot, follower.name, tuple(follower.failed), follower.grown, self.last, now - self.estimated_at,
+            now - self.began, now - self.heard, self.lost, self.blind, counts,
+            {name: n - before.get(name, 0) for name, n in counts.items()}, max(now - then, 1e-3),
+            tuple(self.latencies), (*self.remarks, *self.steps.losses()), late[max(late)] if late else "",
+        )  # fmt: skip
+        return facts._replace(age_s=facts.age_s if facts.age_s > max(SILENT_S, facts.apart_s) else 0.0)
 
-    def age_s(self) -> float:
-        """Return how old the estimate is, zero while it is of now."""
-        age_s = time.monotonic() - self.estimated_at
-        return age_s if age_s > max(SILENT_S, 3.0 / (self.follower.robot.rate_hz or 3.0)) else 0.0
-
-    def status(self) -> int:
-        """Return the number of what the monitor says."""
-        return 0 if self.last is None else int(self.last[2].details.get("status", 0))
-
-
-def sentences(session: Session) -> list[str]:
-    """Return what is wrong at the moment, in sentences that stay the same as long as it is."""
-    robot, counters, (recent, span_s) = session.follower.robot, session.counters(), session.recent()
-    now, apart_s = time.monotonic(), 3.0 / (robot.rate_hz or 3.0)
-    late = now - session.began > SILENT_S
-    silent = now - session.heard > max(SILENT_S, apart_s)
-    frames, damaged = recent["frames"], sum(recent.get(name, 0) for name in DAMAGED)
-    ask = "Is --baud the rate of the board, and does it send what the robot file says?"
-    why = session.of_now() or ask
-    wire = [
-        (session.port.lost, "The port is gone; we wait until it is there again."),
-        (
-            late and not counters["bytes"],
-            "Nothing arrives yet. Is the board powered and programmed? Reset it.",
-        ),
-        (
-            counters["bytes"] and silent,
-            "Nothing arrives any more. Has the board lost its power or its wires?",
-        ),
-        (late and recent["bytes"] and not frames, f"Bytes arrive, but no readings. {why}"),
-        (frames and not recent["estimates"] and late, f"What arrives does not fit this robot. {why}"),
-    ]
-    for holds, text in wire:
-        if holds:
-            return [text]
-    share, rate, stated = (
-        damaged / max(damaged + frames, 1),
-        recent["time_steps"] / span_s,
-        robot.rate_hz or 0.0,
-    )
-    steady = counters["time_steps"] > recent["time_steps"] > 0 and now - session.heard < max(
-        SAMPLE_S, apart_s
-    )
-    word = "More" if rate > stated else "Fewer"
-    another = stated and steady and not damaged and not 0.8 < rate / stated < 1.25
-    also = [
-        (
-            share > 0.05,
-            f"About {10 * round(10 * share) or 5} % of the frames are damaged: look at cable and --baud.",
-        ),
-        (another, f"{word} than the {stated:g} time steps of the robot file arrive in a second."),
-        (recent["skipped"], "The estimator is slower than the board: time steps are left out."),
-    ]
-    return [text for holds, text in also if holds] + _alarms(session)
+    def look(self) -> Moment:
+        """Return what is shown of the moment; if that cannot be made the session goes on, as it may be recording."""
+        made_s = time.monotonic()
+        try:
+            return moment(self.facts(), made_s, with_shape=self.with_shape)
+        except Exception as error:
+            text = self.blinded("view", error)
+            return Moment(made_s, ("not known",), (), (text,), (), False, "old", (), 0.0, None, None)
 
 
-def _alarms(session: Session) -> list[str]:
-    follower, last = session.follower, session.last
-    if last is None or session.age_s():
-        return []
-    status = int(last[2].details["status"])
-    names, suspects = follower.robot.part_names, follower.suspects(last[2])
-    who, leave = (
-        " or ".join(names[k] for k in suspects),
-        "".join(f" (--failed {k + 1})" for k in suspects[:1]),
-    )
-    causes = (
-        "something magnetic nearby, several sensors, or a robot that is not as described (repro calibrate)"
-    )
-    words = {
-        LEFT_OUT: f"What {who or 'a sensor'} reads does not fit the other readings and is left out{leave}.",
-        INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
-        FROZEN: "Do not trust the shape: the board repeats itself, all its readings are old.",
-        UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
-        BEYOND_BOUNDS: "The readings fit only beyond the bounds of the robot file. The shape stays within them.",
-    }
-    there = np.bincount(follower.robot.parts, np.isfinite(last[1]), len(names)) > 0
-    gone = [k for k in np.flatnonzero(~there) if k not in follower.failed]
-    said = [words[status]] if status in words else []
-    touched = last[2].details.get("at_bound", np.zeros(0))
-    said += [
-        f"{follower.robot.coordinates[c]} is at a bound of the robot file." for c in np.flatnonzero(touched)
-    ]
-    near = last[2].details.get("too_near", np.zeros(len(follower.robot.parts), dtype=bool))
-    said += [
-        f"{names[k]} is so close to a magnet that its field is not known: it is left out."
-        for k in np.unique(follower.robot.parts[near])
-    ]
-    return said + [f"There is no reading of {names[k]}; it is left out." for k in gone]
-
-
-def notes(session: Session) -> list[str]:
-    """Return what else to know: what was asked for, and what happened so far."""
-    follower, skipped = session.follower, session.own["skipped"]
-    unused = ", ".join(follower.robot.part_names[k] for k in follower.failed)
-    bare = session.last is not None and session.status() == UNCHECKED
-    said = [
-        (session.blind, session.blind),
-        (unused, f"Not used, as asked: {unused}."),
-        (follower.grown != 1.0, f"Every ± is {follower.grown:g} times what the estimator states."),
-        (skipped, f"{skipped} time steps were left out because newer ones had come; a recording has them."),
-        (bare, "There are no more readings than unknowns: a wrong sensor looks like another shape."),
-    ]
-    told = [*session.remarks, *session.steps.losses()]
-    return [*told, *(text for holds, text in said if holds)]
-
-
-def numbers(session: Session) -> list[str]:
-    """Return the tip and the coordinates, each with its standard deviation."""
-    robot, last = session.follower.robot, session.last
-    if last is None or not np.isfinite(last[2].q).all():
-        return []
-    t, u, found = last
-    low: Any = robot.lower
-    q, C = found.q, np.asarray(found.covariance)
-    p, G = robot.tip_slopes(q)
-    values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
-    sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
-    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
-    units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
-    units += trajectory([t], [u], [found], robot, None).units()
-    said = []
-    for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
-        if w == 0:  # fixed by its bounds
-            continue
-        digits = 4 if unit == "rad" else 2
-        known = f"{name} {factor * x:.{digits}f} ± {factor * s:.{digits}f} {unit}"
-        alone = " by its bounds alone" if s > BY_BOUNDS * w and not name.startswith("tip") else ""
-        said.append(f"{name} undetermined" if not s <= w else known + alone)
-    return said
-
-
-def summary(session: Session) -> dict[str, str]:
-    """Return fit, pace, latency and losses in words."""
-    (recent, span_s), counters, fit = session.recent(), session.counters(), "no estimate yet"
-    if session.last is not None:
-        found = session.last[2]
-        chi2, dof, fit = float(found.chi2), float(found.dof), STATUS[int(found.details["status"])]
-        if chi2 >= 0 and dof > 0:
-            fit += f", residuals {math.sqrt(chi2 / dof):.1f} times the noise"
-    age_s, latencies = session.age_s(), list(session.latencies)
-    p50, p99 = 1e3 * np.quantile(latencies or [np.nan], [0.5, 0.99])
-    counts = [
-        f"{n} {name.replace('_', ' ')}" for name, n in counters.items() if n and name not in session.own
-    ]
-    pace = f"{recent['time_steps'] / span_s:.3g} time steps/s, {session.own['estimates']} estimates"
-    return {
-        "fit": f"{age_s:.0f} s old; {fit}" if age_s else fit,
-        "pace": f"{pace} by {session.follower.name}",
-        "latency": f"{p50:.2g} ms in the median, {p99:.2g} ms in 99 %" if latencies else "no estimate yet",
-        "received": ", ".join(counts) or "nothing",
-    }
-
-
-def terminal(session: Session) -> Any:
+def terminal(seen: Moment) -> Any:
     """Return what rich shows: tip and coordinates, fit and counts, and what is wrong."""
     from rich.columns import Columns
     from rich.console import Group
     from rich.text import Text
 
-    session = session.at_once()
-    style = "dim italic" if session.age_s() or session.status() not in TRUSTED else ""
+    style = "" if seen.trusted else "dim italic"
     return Group(
-        Columns([Text(x, style) for x in numbers(session)], padding=(0, 3)),
-        *(Text(f"{name:9} {text}") for name, text in summary(session).items()),
-        *(Text(f"! {x}", "bold red") for x in sentences(session)),
-        *(Text(x, "dim") for x in notes(session)),
+        Columns([Text(x, style) for x in seen.numbers], padding=(0, 3)),
+        *(Text(f"{name:9} {text}") for name, text in seen.summary),
+        *(Text(f"! {x}", "bold red") for x in seen.alarms),
+        *(Text(x, "dim") for x in seen.notes),
     )
 
 
@@ -451,7 +336,8 @@ class Table:
     """
 
     def __init__(self, path: Path, session: Session) -> None:
-        self.path, self.session, self.waiting = path, session, deque[Any]()
+        self.path, self.session, self.waiting = path, session, deque[Row]()
+        self.robot, self.monitor = session.robot, session.follower.monitor
         session.each = self.waiting.append
         self._thread = threading.Thread(target=session.guarded, args=(self._write_all,), daemon=True)
 
@@ -461,8 +347,8 @@ class Table:
     def __exit__(self, kind: object, *_: object) -> None:
         self.session.stop.set()
         self._thread.join()
-        if kind is None and self.session.failure is not None:  # of the last lines, after ``run``
-            raise self.session.failure
+        if kind is None:  # the last lines may have failed after ``run``
+            self.session.settle()
 
     def _write_all(self) -> None:
         last = False
@@ -471,8 +357,7 @@ class Table:
                 last = self.session.stop.wait(0.2)
                 if rows := [self.waiting.popleft() for _ in range(len(self.waiting))]:
                     times, u, found = zip(*rows, strict=True)
-                    follower = self.session.follower
-                    frame = trajectory(times, u, found, follower.robot, follower.monitor).to_frame()
+                    frame = trajectory(times, u, found, self.robot, self.monitor).to_frame()
                     frame.to_csv(part, index=False, mode="a", header=not part.exists())
 
 
@@ -485,7 +370,7 @@ def live(
     output: Path | None = None,
     browser: bool = False,
     browser_socket: int = 0,
-    failed: Sequence[Any] = (),
+    failed: Sequence[int | str] = (),
     baud: int = 115200,
     duration_s: float = math.inf,
     estimates: Path | None = None,
@@ -498,26 +383,23 @@ def live(
     from rich.live import Live
     from rich.text import Text
 
-    from repro.estimators.calibration import load_calibration
-    from repro.robot_file import load_robot
-
     require(duration_s > 0, "duration", "live", "above zero [s]", duration_s)
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
     described = load_robot(robot)
-    stated, must = described.total_noise is not None, "one whose file states the noise of its readings"
-    require(stated, "robot", "live", must, Path(robot).name)
+    if described.total_noise is None:
+        raise bad_input("robot", "live", "one whose file states the noise of its readings", Path(robot).name)
     known = None if calibration is None else load_calibration(calibration, described)
-    follower, console = (
-        Follower(described if known is None else known.robot, estimator, failed, grown, known),
-        Console(stderr=True),
-    )
+    arm = described if known is None else known.robot
+    follower, console = Follower(arm, estimator, failed, grown, known), Console(stderr=True)
     follower.warm()
     with ExitStack() as open_now:
         opened = open_now.enter_context(closing(open_port(port, baud)))
-        about = {"port": port, "baud": baud, "format": format}
-        writer = None if output is None else open_now.enter_context(closing(Writer(output, about)))
-        session = Session(follower, opened, writer, format)
+        writer = None
+        if output is not None:
+            writer = Writer(output, {"port": port, "baud": baud, "format": format})
+            open_now.enter_context(closing(writer))
+        session = Session(follower, opened, writer, format, with_shape=browser)
         session.stop = stop or session.stop
         open_now.enter_context(stopping(session.stop))
         if estimates is not None:
@@ -528,13 +410,13 @@ def live(
             page = open_now.enter_context(PageServer(session, browser_socket))
             console.print(f"Open {page.address} in a browser of this computer.", soft_wrap=True, markup=False)
 
-        def state() -> Any:
-            seen = session.guarded(lambda: terminal(session), "view on the terminal")
-            return Text(f"! {session.blind}", "bold red") if seen is None else seen
+        def shown() -> Any:
+            seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
+            return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
 
-        show = Live(get_renderable=state, console=console, refresh_per_second=4)
-        open_now.enter_context(show)
+        open_now.enter_context(Live(get_renderable=shown, console=console, refresh_per_second=4))
         session.run(duration_s)
     if session.refusal and not session.own["estimates"]:
         raise InputError(session.refusal)
-    return "\n".join([*(f"{name}: {text}" for name, text in summary(session).items()), *notes(session)])
+    facts = session.facts()
+    return "\n".join([*(f"{name}: {text}" for name, text in summary(facts).items()), *notes(facts)])

@@ -13,6 +13,7 @@ import json
 import secrets
 import socket
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,9 @@ from tornado import httpserver, iostream, web
 
 from repro.common import Array, bad_input, require
 from repro.estimators.base import evenly
-from repro.estimators.monitor import CONSISTENT, UNCHECKED
-from repro_board.live import STATUS, Session, notes, numbers, sentences, summary
+from repro.robot import Robot
 from repro_board.view import view
+from repro_board.words import SILENT_S, Moment, Watched
 
 _PAGE = Path(__file__).with_name("page")
 _SCRIPT = "text/javascript; charset=utf-8"
@@ -51,10 +52,13 @@ MOST_PAGES = 5
 """A browser has six connections to an address; by the sixth it hears that there is no room."""
 
 
+Json = dict[str, Any]
+
+
 class PageServer:
     """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
 
-    def __init__(self, session: Session, port: int = 0) -> None:
+    def __init__(self, session: Watched, port: int = 0) -> None:
         require(0 <= port <= 65535, "browser_socket", "live", "0 to 65535", port)
         try:
             self._socket = socket.create_server(("127.0.0.1", port), backlog=128)
@@ -68,7 +72,7 @@ class PageServer:
         at = "" if self.port == 80 else f":{self.port}"  # browsers leave out what is usual
         self.hosts = (f"127.0.0.1{at}", f"localhost{at}")
         self.contents = {path: ((_PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
-        self.contents["/scene.json"] = json.dumps(scene(session)).encode(), "application/json"
+        self.contents["/scene.json"] = json.dumps(scene(session.robot)).encode(), "application/json"
         self.session, self.pages, self.latest = session, set[_Events](), ""
         self._loop, self.over = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=session.guarded, args=(self._run, "page"), daemon=True)
@@ -88,7 +92,7 @@ class PageServer:
     async def _serve(self) -> None:
         routes = [("/events", _Events, {"server": self}), ("/.*", _File, {"server": self})]
         application = web.Application(routes, log_function=lambda _: None)
-        limits: dict[str, Any] = {"max_header_size": 8192, "max_body_size": 1024}
+        limits: Json = {"max_header_size": 8192, "max_body_size": 1024}
         server = httpserver.HTTPServer(
             application, idle_connection_timeout=ASK_S, body_timeout=ASK_S, **limits
         )
@@ -96,14 +100,19 @@ class PageServer:
         server.add_socket(self._socket)
         while not self.over.is_set():
             if self.pages:
-                told = self.session.guarded(lambda: _packed(message(self.session)), "page")
-                self.latest = told or _packed(_blind(self.session))
+                self.latest = self._told()
             self._wake()
             await _within(self.over.wait(), UPDATE_S)
         server.stop()
         self._wake()
         await asyncio.sleep(0.2 * bool(self.pages))  # they are told that it is over
         await server.close_all_connections()
+
+    def _told(self) -> str:
+        try:
+            return _packed(message(self.session.moment))
+        except Exception as error:
+            return _packed(_blind(self.session.blinded("page", error)))
 
     def _wake(self) -> None:
         for page in self.pages:
@@ -181,9 +190,8 @@ class _Events(_File):
             server.pages.discard(self)
 
 
-def scene(session: Session) -> dict[str, Any]:
+def scene(robot: Robot) -> Json:
     """Return what the page needs once: names of the readings, and what the viewer draws in."""
-    robot = session.follower.robot
     name, q = robot.source.name if robot.source else "robot", np.zeros((1, robot.n_q))
     if robot.lower is not None and robot.upper is not None:
         middle = (robot.lower + robot.upper) / 2
@@ -202,41 +210,35 @@ def scene(session: Session) -> dict[str, Any]:
     return {"robot": name, "readings": robot.names, "unit": unit, "shape": shape | more}
 
 
-def message(session: Session) -> dict[str, Any]:
-    """Return what a page is told of the moment."""
-    session = session.at_once()
-    follower, last, age_s = session.follower, session.last, session.age_s()
-    named, status = follower.suspects(last[2] if last else None), session.status()
-    told: dict[str, Any] = {
-        "doubt": "old" if age_s else STATUS[status] if status not in (CONSISTENT, UNCHECKED) else "",
-        "numbers": numbers(session),
-        "summary": summary(session),
-        "alarms": sentences(session),
-        "notes": notes(session),
-        "suspects": np.flatnonzero(np.isin(follower.robot.parts, named)).tolist(),
+def message(seen: Moment) -> Json:
+    """Return what a page is told of a moment. One that nothing takes the place of is old."""
+    told: Json = {
+        "doubt": "old" if time.monotonic() - seen.made_s > SILENT_S else seen.doubt,
+        "numbers": seen.numbers,
+        "summary": dict(seen.summary),
+        "alarms": seen.alarms,
+        "notes": seen.notes,
+        "suspects": seen.suspects,
     }
-    if last is not None and np.isfinite(last[2].q).all():
-        t, u, found = last
-        noise: Any = follower.robot.total_noise
+    if seen.last is not None:
+        t, u, residuals = seen.last
         told |= {
             "time_s": t,
-            "age_s": age_s,
+            "age_s": seen.age_s,
             "readings": _cells(u),
-            "residuals": _cells((u - found.u_hat) / noise),
+            "residuals": _cells(residuals),
+            "shape": seen.shape,
         }
-        C: Any = found.covariance
-        told["shape"] = view(follower.robot, found.q[None], [0.0], "now", covariance=C[None]).data
-        told["shape"]["suspects"] = [k for k in named if k < len(follower.robot.sensors)]
     return told
 
 
-def _blind(session: Session) -> dict[str, Any]:
+def _blind(why: str) -> Json:
     """Return what a page is told where a message cannot be made: that what it shows is old, and why."""
-    empty: dict[str, Any] = {"summary": {}, "notes": [], "suspects": []}
-    return {"doubt": "old", "numbers": ["not known"], "alarms": [session.blind], **empty}
+    empty: Json = {"summary": {}, "notes": [], "suspects": []}
+    return {"doubt": "old", "numbers": ["not known"], "alarms": [why], **empty}
 
 
-def _packed(told: dict[str, Any]) -> str:
+def _packed(told: Json) -> str:
     return json.dumps(told, separators=(",", ":"), allow_nan=False)  # a browser reads no NaN
 
 

@@ -18,8 +18,8 @@ offset bytes   content (little endian)
 ====== ======= ===========================================================================================
 
 A wrong format spoils nothing, because the parser runs again whenever the file is read. A damaged block costs its own
-bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of the first edition (``RRB1``, with
-values instead of bytes) are read too.
+bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of an earlier edition (``RRB1``) had
+values instead of bytes, and are refused.
 """
 
 from __future__ import annotations
@@ -47,18 +47,20 @@ import numpy as np
 import repro
 from repro.common import Array, bad_input, require, whole
 from repro.robot import Robot
-from repro.tables import Readings, name_and_unit, read_readings
+from repro.tables import Readings, read_readings
 from repro_board.steps import STANDS_STILL, STILL, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
-MAGIC = b"RRB"
+_MAGIC = b"RRB2"
 SYNC_S = 0.25
 """A power cut costs at most this time [s], and what the disk itself holds back."""
 MOST_BYTES = 65536
 """Bytes taken from a port at once, and of a block."""
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
-_HEAD_OF_FIRST_EDITION = struct.Struct("<4scxHI")
 _WRAP_S = 2**32 / 1e6
+
+
+Json = dict[str, Any]
 
 
 class Port:
@@ -157,12 +159,12 @@ class Writer:
         If the disk is full or refuses: from then on nothing is recorded.
     """
 
-    def __init__(self, path: str | Path, about: dict[str, Any]) -> None:
+    def __init__(self, path: str | Path, about: Json) -> None:
         self.path, self.received = Path(path), 0
         self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
         # The clock of the day may be set while we record, so it is read once.
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
-        self._failure: OSError | None = None
+        self._failure: Exception | None = None
         self._closing = threading.Event()
         # Killed before its first block it leaves no file of that name, rather than an empty one.
         with whole(self.path, "the recording") as part:
@@ -185,7 +187,7 @@ class Writer:
         """Mark that the port was opened again: what comes next need not follow what came before."""
         self._append(b"O", unix_ns, b"")
 
-    def close(self, end: dict[str, Any] | None = None) -> None:
+    def close(self, end: Json | None = None) -> None:
         """Write the end, wait for the disk, close; may be called again."""
         if self._closing.is_set():
             return
@@ -202,7 +204,7 @@ class Writer:
                 self.path.unlink(missing_ok=True)
 
     def _append(self, kind: bytes, unix_ns: int, content: bytes) -> None:
-        head = _HEAD.pack(MAGIC + b"2", kind, self._id, self._blocks, len(content), unix_ns)
+        head = _HEAD.pack(_MAGIC, kind, self._id, self._blocks, len(content), unix_ns)
         block = head + _CRC.pack(crc32(content, crc32(head))) + content
         try:
             if self._failure:
@@ -228,7 +230,7 @@ class Writer:
                 size = self._size
                 try:
                     os.fsync(self._file)
-                except OSError as error:
+                except Exception as error:  # the next block raises it
                     self._failure = error
                 synced = size
 
@@ -322,7 +324,7 @@ class Recording(NamedTuple):
     """
 
     path: Path
-    about: dict[str, Any]
+    about: Json
     samples: list[Sample]
     arrived: Array
     times: Array
@@ -344,92 +346,105 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     InputError
         If no block is whole.
     """
-    path = Path(path)
+    path, remarks = Path(path), list[str]()
     require(path.is_file(), "recording", "read_recording", "a file that exists", path)
+    blocks = _in_order(_undamaged(path, remarks), path.name, remarks)
+    about = _json(blocks[0].content) if 0 in blocks else {}
+    given = (format, channels) != (None, None)
+    if not given:
+        said, n = about.get("format"), about.get("channels")
+        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
+    parser = Parser(format or None, channels)
+    samples, arrived = _parsed(blocks, parser)
+    if (format or channels) and not (samples or given):
+        stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
+        found = read_recording(path, format="")
+        if found.samples:
+            other = f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
+            return found._replace(remarks=(*found.remarks, other))
+    remarks += parser.remarks
+    times, unix_s = _times(samples, arrived, remarks)
+    return Recording(
+        path, about, samples, arrived, times, unix_s, parser.format, parser.names, parser.units, {**parser.counters},
+        tuple(remarks),
+    )  # fmt: skip
+
+
+class _Block(NamedTuple):
+    kind: bytes
+    recording: int
+    number: int
+    unix_ns: int
+    content: bytes
+
+
+def _undamaged(path: Path, remarks: list[str]) -> list[_Block]:
+    """Return the whole blocks of one recording, each once, in the order of the file."""
     data = path.read_bytes()
-    first_edition = not (blocks := list(_blocks(data, _HEAD)))
-    blocks = blocks or list(_blocks(data, _HEAD_OF_FIRST_EDITION))
-    must = "a recording with a whole block (it begins with RRB)"
-    require(blocks, "file", path.name, must, f"{len(data)} bytes without one")
-    damaged = len(data) - sum(block.length for block in blocks)
-    remarks = [f"bytes that are damaged or cut off, and left out: {damaged}"] if damaged else []
-    count = len(blocks)
-    blocks = list(dict.fromkeys(blocks))
-    if len(blocks) < count:
-        remarks.append(f"blocks that are there twice, and read once: {count - len(blocks)}")
-    if first_edition:
-        return _read_first_edition(path, blocks, remarks)
-    others = [block for block in blocks if block.head[2] != blocks[0].head[2]]
-    if others:
-        remarks.append(f"blocks of another recording, left out: {len(others)}")
-        blocks = [block for block in blocks if block.head[2] == blocks[0].head[2]]
-    order = [block.head[3] for block in blocks]
-    kept = dict(sorted(zip(order, blocks, strict=True)))
-    blocks.clear()  # of a long recording only what is still to be read stays in memory
-    last = max(order)
-    about = _json(kept[0].content) if 0 in kept else {}
+    found = list(_blocks(data))
+    must = "a recording with a whole block (it begins with RRB2)"
+    earlier = "one of an earlier edition (version 1.0 reads it, and repro export writes it as a table)"
+    require(found or not data.startswith(b"RRB1"), "file", path.name, must, earlier)
+    require(found, "file", path.name, must, f"{len(data)} bytes without one")
+    if damaged := len(data) - sum(_HEAD.size + _CRC.size + len(block.content) for block in found):
+        remarks.append(f"bytes that are damaged or cut off, and left out: {damaged}")
+    blocks = list(dict.fromkeys(found))
+    if len(blocks) < len(found):
+        remarks.append(f"blocks that are there twice, and read once: {len(found) - len(blocks)}")
+    own = [block for block in blocks if block.recording == blocks[0].recording]
+    if len(own) < len(blocks):
+        remarks.append(f"blocks of another recording, left out: {len(blocks) - len(own)}")
+    return own
+
+
+def _blocks(data: bytes) -> Iterator[_Block]:
+    view, at = memoryview(data), data.find(_MAGIC)
+    while 0 <= at <= len(data) - _HEAD.size - _CRC.size:
+        (_, kind, recording, number, size, unix_ns), begin = (
+            _HEAD.unpack_from(data, at),
+            at + _HEAD.size + _CRC.size,
+        )
+        fits = size <= MOST_BYTES and begin + size <= len(data)
+        found = crc32(view[begin : begin + size], crc32(view[at : at + _HEAD.size])) if fits else -1
+        if undamaged := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
+            yield _Block(kind, recording, number, unix_ns, data[begin : begin + size])
+        at = data.find(_MAGIC, begin + size if undamaged else at + 1)
+
+
+def _in_order(blocks: list[_Block], name: str, remarks: list[str]) -> dict[int, _Block]:
+    """Return blocks by number as they were written; what is missing is told."""
+    order = [block.number for block in blocks]
+    kept, last = dict(sorted(zip(order, blocks, strict=True))), max(order)
     gaps = [(a + 1, b - a - 1) for a, b in itertools.pairwise([-1, *kept]) if b > a + 1]
     if gaps:
         words = ", ".join(f"{n} from number {a}" for a, n in gaps[:10]) + ", ..." * (len(gaps) > 10)
         remarks.append(f"blocks that are missing: {sum(n for _, n in gaps)} of {last + 1} ({words})")
     if sorted(order) != order:
         remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    if kept[last].head[1] != b"E":
-        remarks.append(f"{path.name} has no end: the recorder still runs or was killed, or the file was cut")
-    said, n, given = about.get("format"), about.get("channels"), (format, channels) != (None, None)
-    if not given:
-        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
-    parser = Parser(format or None, channels)
+    if kept[last].kind != b"E":
+        remarks.append(f"{name} has no end: the recorder still runs or was killed, or the file was cut")
+    return kept
+
+
+def _parsed(blocks: dict[int, _Block], parser: Parser) -> tuple[list[Sample], Array]:
+    """Return samples and when they arrived since 1970 [s]; of a long recording only what is to be read is kept."""
     samples, size, offsets, stamps, previous = [], 0, [], [], 0
-    for number in list(kept):
-        block = kept.pop(number)
-        if block.head[1] == b"O" or number > previous + 1:  # half a line before a gap is no number
+    for number in list(blocks):
+        block = blocks.pop(number)
+        if block.kind == b"O" or number > previous + 1:  # half a line before a gap is no number
             parser.reopened()
-        if block.head[1] == b"B":
+        if block.kind == b"B":
             offsets.append(size)
-            stamps.append(block.head[5])
+            stamps.append(block.unix_ns)
             samples += parser.feed(block.content)
             size += len(block.content)
         previous = number
     samples += parser.close()
-    if (format or channels) and not (samples or given):
-        stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
-        found = read_recording(path, format="")
-        if found.samples:
-            remark = (
-                f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
-            )
-            return found._replace(remarks=(*found.remarks, remark))
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
-    arrived = np.array(stamps, dtype=np.int64)[began] / 1e9
-    return _recording(
-        path, about, samples, arrived, parser.format, parser.names, parser.units, {**parser.counters},
-        [*remarks, *parser.remarks],
-    )  # fmt: skip
+    return samples, np.array(stamps, dtype=np.int64)[began] / 1e9
 
 
-class _Block(NamedTuple):
-    head: tuple[Any, ...]
-    content: bytes
-    length: int
-
-
-def _blocks(data: bytes, form: struct.Struct) -> Iterator[_Block]:
-    """Yield the whole blocks of an edition, in the order of the file."""
-    magic, view = MAGIC + (b"2" if form is _HEAD else b"1"), memoryview(data)
-    at = data.find(magic)
-    while 0 <= at <= len(data) - form.size - _CRC.size:
-        head, begin = form.unpack_from(data, at), at + form.size + _CRC.size
-        per_item = 20 + 8 * head[2] if form is not _HEAD and head[1] == b"F" else 1
-        end = begin + per_item * head[4 if form is _HEAD else 3]
-        fits = end <= min(len(data), begin + (MOST_BYTES if form is _HEAD else 1 << 24))
-        found = crc32(view[begin:end], crc32(view[at : at + form.size])) if fits else -1
-        if whole := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
-            yield _Block(head, data[begin:end], end - at)
-        at = data.find(magic, end if whole else at + 1)
-
-
-def _json(content: bytes) -> dict[str, Any]:
+def _json(content: bytes) -> Json:
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):
@@ -437,60 +452,10 @@ def _json(content: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _number(about: dict[str, Any], name: str) -> float:
-    found = about.get(name)
-    return float(found) if isinstance(found, int | float) and abs(found) < 1e19 else 0.0
-
-
-def _read_first_edition(path: Path, blocks: list[_Block], remarks: list[str]) -> Recording:
-    """Read values in blocks without numbers; a file beside the recording has their count."""
-    about = next((_json(block.content) for block in blocks if block.head[1] == b"H"), {})
-    beside = path.with_name(f"{path.name}.json")
-    counted = _json(beside.read_bytes()) if beside.is_file() else {}
-    if blocks[0].head[1] != b"H":
-        remarks.append("its first block is missing or not the first")
-    if not about or counted.get("start_host_ns") == about.get("start_host_ns"):
-        about = counted | about
-    frames = [block for block in blocks if block.head[1] == b"F"]
-    for k, block in enumerate(frames):
-        require(block.head[2], f"width of block {k + 1}", path.name, "1 value or more", 0)
-    in_order = sorted(frames, key=lambda block: struct.unpack_from("<q", block.content))
-    if frames != in_order:
-        remarks.append("blocks are not in the order in which they were written, and were read in that order")
-    rows = [
-        row for block in in_order for row in struct.iter_unpack(f"<qIIHBB{block.head[2]}d", block.content)
-    ]
-    counters = about.get("counters")
-    counters = counters if isinstance(counters, dict) else {}
-    if about.get("ended") and counters.get("frames") != len(rows):
-        found = f"frames: {len(rows)} are here, {beside.name} counts {counters.get('frames')}"
-        remarks.append(f"{found}: whole blocks are missing")
-    samples = [
-        Sample(stream, sequence if known & 1 else None, us if known & 2 else None, k, np.array(values[:n]))
-        for k, (_, us, sequence, stream, n, known, *values) in enumerate(rows)
-    ]
-    start_s = _number(about, "start_unix_s") - _number(about, "start_host_ns") / 1e9
-    channels = about.get("channels")
-    named = [name_and_unit(str(name)) for name in (channels if isinstance(channels, list) else [])]
-    names, units = zip(*named, strict=True) if named else ((), ())
-    arrived = start_s + np.array([row[0] for row in rows], dtype=float) / 1e9
-    return _recording(path, about, samples, arrived, about.get("format"), names, units, counters, remarks)
-
-
-def _recording(
-    path: Path,
-    about: dict[str, Any],
-    samples: list[Sample],
-    arrived: Array,
-    format: Any,
-    names: Any,
-    units: Any,
-    counters: dict[str, int],
-    remarks: list[str],
-) -> Recording:
-    start = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0
+def _times(samples: list[Sample], arrived: Array, remarks: list[str]) -> tuple[Array, float]:
+    """Return times from 0, and when that was since 1970 [s]: by the board's clock, if it is one."""
+    start, times = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0, None
     board_us = [sample.time_us for sample in samples]
-    times = None
     if samples and None not in board_us:
         times, ppm = board_times(arrived - start, np.array(board_us) / 1e6)
         if times is None:
@@ -502,10 +467,7 @@ def _recording(
             remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
     times = arrival_times(arrived - start) if times is None else times
     first = float(times.min()) if len(times) else 0.0
-    return Recording(
-        path, about, samples, arrived, times - first, start + first, format, tuple(names), tuple(units),
-        dict(counters), tuple(remarks),
-    )  # fmt: skip
+    return times - first, start + first
 
 
 def _stands_still(samples: list[Sample]) -> bool:
@@ -562,6 +524,14 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
     return np.maximum.accumulate(times), ppm
 
 
+def is_recording(path: str | Path) -> bool:
+    """Return whether a file begins as a recording of any edition does."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(3) == _MAGIC[:3]
+
+
 def readings_of(robot: Robot, source: Any) -> Readings:
     """Return the readings ``[t, s]`` of a robot from a recording or a table: a path, or what was read of it.
 
@@ -570,9 +540,8 @@ def readings_of(robot: Robot, source: Any) -> Readings:
     InputError
         If it is neither, or does not belong to the robot.
     """
-    if isinstance(source, str | Path) and Path(source).is_file():
-        with Path(source).open("rb") as file:
-            source = read_recording(source) if file.read(len(MAGIC)) == MAGIC else source
+    if isinstance(source, str | Path) and is_recording(source):
+        source = read_recording(source)
     if not isinstance(source, Recording):
         return read_readings(robot, source)
     steps = Steps(robot, source=source)

@@ -5,13 +5,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import Columns, Table, check_orientations, columns_of, losses, rows_of, spread
+from repro.tables import (
+    Columns,
+    Table,
+    check_orientations,
+    columns_of,
+    cut_turn,
+    losses,
+    rows_of,
+    spread,
+    taken_in_order,
+)
 from repro_board.wire import WRAP, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
@@ -23,6 +33,36 @@ _LEAST_STEPS = 20
 STILL = 10
 """A clock that shows one time in more steps in a row stands still, or is too coarse to be used."""
 STANDS_STILL = "The board's clock stands still, or is too coarse: times are those of arrival."
+
+
+class Source(Protocol):
+    """What samples come from, and what it says of their values: a parser or a recording."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; empty if it says none."""
+        ...
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        ...
+
+    @property
+    def format(self) -> str | None:
+        """How they were sent."""
+        ...
+
+
+class Labels(NamedTuple):
+    """Names and units of values that somebody states."""
+
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    format: str | None = None
+
+
+NO_LABELS = Labels()
 
 
 class Step(NamedTuple):
@@ -71,7 +111,7 @@ class Steps:
     [0, 1, 0, 1]
     """
 
-    def __init__(self, robot: Robot, times: str = "board", source: Any = None) -> None:
+    def __init__(self, robot: Robot, times: str = "board", source: Source = NO_LABELS) -> None:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
         self.remarks: list[str] = []
@@ -86,6 +126,7 @@ class Steps:
         self._leaders = {0} if self._magnetic else set(own)
         self._values: dict[int, Array] = {stream: np.full(4, np.nan) for stream in own}
         self._fresh: set[int] = set()
+        self._order: list[int] | None = []  # streams that came before the first row
         self._age = dict.fromkeys(self._widths, 1)  # steps since a stream sent, and how many are usual
         self._usual = dict.fromkeys(self._widths, 1.0)
         self._table: Table | None = None  # without rows
@@ -157,7 +198,7 @@ class Steps:
     def _put(self, sample: Sample, sent: Any) -> list[tuple[Array, Any]]:
         """Take the values of a sample and its time; return what is complete, with the time of its last sample."""
         stream, width = sample.stream, self._widths.get(sample.stream)
-        expected = width or len(getattr(self._source, "names", ())) or len(sample.values)
+        expected = width or len(self._source.names) or len(sample.values)
         fits = width is not None and len(sample.values) == expected
         if not fits:
             self.counters["other_streams" if width is None else "other_widths"] += 1
@@ -165,7 +206,7 @@ class Steps:
             if (text := f"Samples of stream {stream} {other}: left out.") not in self.remarks:
                 self.remarks.append(text)
             return []
-        rows = [self._row()] if stream in self._fresh else []
+        rows = [self._row()] if stream in self._fresh or self._began_before(sample) else []
         self._widths[stream], self._values[stream] = len(sample.values), sample.values
         usual = self._usual[stream]
         self._usual[stream] += (min(self._age[stream], 4 * usual) - usual) / 8
@@ -175,19 +216,29 @@ class Steps:
             rows.append(self._row())
         return rows
 
+    def _began_before(self, sample: Sample) -> bool:
+        """Return whether a turn begins with this sample, and what came so far is the end of the one before.
+
+        Times tell turns; without them the numbers of the streams do.
+        """
+        if self._order is None or sample.time_us is not None:
+            return False
+        self._order.append(sample.stream)
+        return cut_turn(self._order, [*self._leaders]) == len(self._order) - 1 > 0
+
     def _silent(self, stream: int) -> bool:
         return self._age[stream] > 2 * self._usual[stream]
 
     def _row(self) -> tuple[Array, Any]:
         parts = [np.full(n, np.nan) if self._silent(k) else self._values[k] for k, n in self._widths.items()]
         self._age = {stream: age + 1 for stream, age in self._age.items()}
-        self._fresh = set()
+        self._fresh, self._order = set(), None
         return np.concatenate(parts), self._sent
 
     def _named(self, rows: Array) -> Table:
         """Return a table of rows. Names that mean no channel are those of channels or readings in their order."""
         n = self._widths[0] if self._magnetic else 0
-        said, units = (tuple(getattr(self._source, x, ())) for x in ("names", "units"))
+        said, units = tuple(self._source.names), tuple(self._source.units)
         bare = "mT" if all(sensor.unit == "mT" for sensor in self._robot.sensors) else ""
         units = (
             tuple("raw" if x == "counts" else x or bare for x in units) if len(units) == n else (bare,) * n
@@ -196,23 +247,14 @@ class Steps:
         numbered = tuple(f"u{k + 1}" for k in range(n))
         names = said if len(said) == n else numbered
         # Of values without names any may be the one too many, unless the robot says which channels it takes.
-        by_number = getattr(self._source, "format", None) in (None, "frames")
+        by_number = self._source.format in (None, "frames")
         by_number &= all(sensor.channels is not None for sensor in self._robot.sensors)
         columns = names if len(said) == n or by_number else [f"column {k + 1}" for k in range(n)]
         lines, units = range(1, len(rows) + 1), (*units, *[""] * len(imus))
         table = Table("the board", (*columns, *imus), (*names, *imus), units, rows, lines, None)
-        others, words = [numbered, self._robot.names[:n]], ""
         in_order = n == sum(x.axes for x in self._robot.sensors) and not any(map(_NUMBERED.fullmatch, said))
-        while in_order and others:
-            try:
-                columns_of(self._robot, table, [])
-                break
-            except InputError:
-                other = (*others.pop(0), *imus)
-                table = table._replace(columns=other, names=other)
-                words = f"{', '.join(names)} are taken for {', '.join(other[:n])}, in this order."
-                words *= names != other[:n]
-        self.remarks[:0] = [words] * bool(words)
+        table, words = taken_in_order(self._robot, table, n) if in_order else (table, [])
+        self.remarks[:0] = words
         return table
 
     def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.chain import point_on
+from repro.chain import ConstantCurvature, point_on
 from repro.common import Array, numbers, require
 from repro.robot import Robot
 
@@ -115,17 +115,10 @@ def view(
         len(t) and (np.diff(t) > 0).all(), "times", owner, "increasing [s], at least one", f"{len(t)} times"
     )
     require(1 <= frames <= MOST_FRAMES, "frames", owner, f"1 to {MOST_FRAMES}", frames)
-    every = -(-len(t) // frames)
     given = {"q": q, "estimate": estimate, "covariance": covariance, "readings": readings}
-    kept: dict[str, Array] = {}
-    for name, value in given.items():
-        if value is not None:
-            rows = numbers(value, name, owner, finite=name != "readings")
-            require(
-                len(rows) == len(t), name, owner, f"one row for each of {len(t)} times", f"{len(rows)} rows"
-            )
-            kept[name] = rows[::every]
-    t, names = t[::every], {"truth": "q", "estimate": "estimate"} if estimate is not None else {"truth": "q"}
+    every = -(-len(t) // frames)
+    kept = {name: _rows(x, name, len(t))[::every] for name, x in given.items() if x is not None}
+    names = {"truth": "q", "estimate": "estimate"} if estimate is not None else {"truth": "q"}
     if covariance is not None and estimate is None:
         names = {"estimate": "q"}
     curves = {role: 1e3 * robot.poses(kept[key], _along(robot))[..., :3, 3] for role, key in names.items()}
@@ -133,37 +126,41 @@ def view(
         {"name": role, "role": role, "points": _packed(curve, 0.1)} for role, curve in curves.items()
     ]
     if covariance is not None:
-        shapes[-1]["deviation"] = _packed(
-            1e3 * _deviations(robot, kept[names["estimate"]], kept["covariance"]), 0.01
-        )
+        shapes[-1]["deviation"] = _deviations(robot, kept[names["estimate"]], kept["covariance"])
     ends = [curve[:, -1] for curve in curves.values()]
     start = int(np.linalg.norm(ends[-1] - ends[0], axis=-1).argmax())
-    markers, places = {}, []
-    for name, parts in (("magnets", robot.magnets), ("sensors", robot.sensors)):
-        if parts:
-            T = robot.poses(kept["q"], [part.place for part in parts])
-            places.append(1e3 * T[..., :3, 3])
-            markers[name] = {"points": _packed(places[-1], 0.1), "directions": _packed(T[..., :3, 2], 1e-4)}
-    every_point = np.concatenate([np.zeros((1, 3)), *(x.reshape(-1, 3) for x in (*curves.values(), *places))])
+    parts = {"magnets": robot.magnets, "sensors": robot.sensors}
+    poses = {name: robot.poses(kept["q"], [part.place for part in x]) for name, x in parts.items() if x}
     radius = 1e3 * max(
-        [getattr(segment, "radius", 0.0) for segment in robot.segments] + [0.05 * robot.length]
+        [0.05 * robot.length, *(x.radius for x in robot.segments if isinstance(x, ConstantCurvature))]
     )
-    around = radius * np.array([1.0, 1.0, 0.0])
-    traces = [] if readings is None else [_trace(kept["readings"], unit)]
     data = {
         "label": label,
-        "box": [
-            (every_point.min(0) - around).round(1).tolist(),
-            (every_point.max(0) + around).round(1).tolist(),
-        ],
+        "box": _box([*curves.values(), *(1e3 * T[..., :3, 3] for T in poses.values())], radius),
         "radius": round(radius, 2),
-        "time_s": [float(f"{x:.6g}") for x in t],
+        "time_s": [float(f"{x:.6g}") for x in t[::every]],
         "start": start,
         "shapes": shapes,
-        **markers,
-        "traces": traces,
+        **{
+            name: {"points": _packed(1e3 * T[..., :3, 3], 0.1), "directions": _packed(T[..., :3, 2], 1e-4)}
+            for name, T in poses.items()
+        },
+        "traces": [] if readings is None else [_trace(kept["readings"], unit)],
     }
     return View(data, {role: curve[start] for role, curve in curves.items()})
+
+
+def _rows(value: Any, name: str, n: int) -> Array:
+    rows = numbers(value, name, "view", finite=name != "readings")
+    require(len(rows) == n, name, "view", f"one row for each of {n} times", f"{len(rows)} rows")
+    return rows
+
+
+def _box(places: list[Array], radius: float) -> list[list[float]]:
+    """Return the corners of what is drawn, the base among it."""
+    points = np.concatenate([np.zeros((1, 3)), *(x.reshape(-1, 3) for x in places)])
+    around = radius * np.array([1.0, 1.0, 0.0])
+    return [(points.min(0) - around).round(1).tolist(), (points.max(0) + around).round(1).tolist()]
 
 
 def _along(robot: Robot) -> list[Any]:
@@ -175,12 +172,12 @@ def _along(robot: Robot) -> list[Any]:
     ]
 
 
-def _deviations(robot: Robot, q: Array, covariance: Array) -> Array:
-    """Largest standard deviation [m] in any direction of the points along the backbone ``[t, k]``."""
+def _deviations(robot: Robot, q: Array, covariance: Array) -> str:
+    """Largest standard deviation in any direction of the points along the backbone ``[t, k]``."""
     T, twists = robot.motion(q, _along(robot))
     slopes = twists[..., 3:] + np.cross(twists[..., :3], T[..., None, :3, 3])
     spread = np.einsum("tkci,tcd,tkdj->tkij", slopes, covariance, slopes)
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0))
+    return _packed(1e3 * np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0)), 0.01)
 
 
 def _trace(u: Array, unit: str) -> dict[str, Any]:

@@ -5,18 +5,29 @@ The page "Wire formats" of the book states every byte of a frame, every form of 
 
 from __future__ import annotations
 
-import functools
 import math
 import re
 import struct
-from itertools import pairwise
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
 from repro.common import Array, numbers, require
-from repro.tables import SECONDS, TIMES, is_time, name_and_unit
+from repro.lines import (
+    MARK,
+    SECONDS,
+    TIMES,
+    columns,
+    fields,
+    is_time,
+    name_and_unit,
+    names_of,
+    of_all,
+    plotted,
+    separator,
+    unwrapped,
+)
 
 FORMATS = ("frames", "csv", "hall", "millivolts", "quaternions")
 COUNTERS = (
@@ -224,29 +235,9 @@ begins with a zero; and lines that wait for that at most."""
 _MOST_COMMAS = 2.5
 """Of the last hundred lines with decimal commas: fewer may be damage."""
 _LATEST_US = 1e16
-_MARK = "\0"
-"""Stands for a number in the form of a line: all of it but its numbers."""
-_NUMBER = re.compile(  # words for a missing one; no whole number begins with a zero, as decimals behind a comma may
-    r"(?<![\w.#+-])(?:[+-]?(?i:nan|inf|infinity|ovf)|1\.#[A-Z]+|#N/?[AV]|N/?A|n/a|na|(?i:null|none))(?![\w.])"
-    r"|(?<![^\s,;:=])-{1,2}(?=[\s,;]|$)"
-    r"|(?<![\w.^])([+-]?(?:[0-9]+\.[0-9]*|0|[1-9][0-9]*|\.[0-9]+)(?![0-9])(?:[eE][+-]?[0-9]{1,3}(?![0-9.]))?)"
-    r"(?! *[:=\])])"  # a number in a label
-)
-_EMPTY = re.compile(r"(?<=[,;\t:=])(?=[,;\t])|^(?=[,;\t])")
-_BLANKS = re.compile(r" *([;,\t:=]) *| +(?= )")
-_LETTER = "A-Za-zµμΩ°%"
-_UNIT = (
-    rf"(?![xXbB][0-9]|[eE](?![{_LETTER}])|(?i:nan|inf|ovf)(?![{_LETTER}]))"  # 0x10, 1.5e, and no numbers
-    rf"[{_LETTER}][{_LETTER}/²³^*]*[0-9]?(?![0-9{_LETTER}])"
-)
-_BETWEEN = re.compile(rf"(?: ?({_UNIT}))?([ ,;\t]?)(?:([^\W\d][\w .()\[\]/#°%-]*?)[:=])?")
-_NAME = re.compile(r"[^\W\d][\w .()\[\]/²³^*#°%-]*")
 _COMMAS = re.compile(r"[+-]?[0-9]+,[0-9]+(?:(?:,?[ ]+|[ ]*[;\t][ ]*)[+-]?[0-9]+,[0-9]+)+[;,]?")
 _PAIRS = re.compile(r"[+-]?[0-9]+,[0-9]{2,}(?:,[+-]?[0-9]+,[0-9]{2,})*")
-_WRAPPED = re.compile(r"b'(.*?)(?:\\r)?(?:\\n)?'|[(\[{](.*)[)\]}],?")
-"""How Python prints bytes and tuples, and JSON objects."""
 _QUOTED = re.compile(r'"([^"]*)"')
-_TELEPLOT = re.compile(r">([^>:,|]+):([^:§|]*)(?:§([^|]*))?(?:\|.*)?")
 _COUNT, _DECIMAL = r"(?:0|-?[1-9][0-9]{0,3})", r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,3})?"
 _PAPERS = {
     "hall": (f"{_COUNT}(?:,{_COUNT})*", -8192.0, 8191.0, ("z", "y", "x"), "counts"),
@@ -320,41 +311,42 @@ class _Lines(_Packets):
 
     def _line(self, text: str, packet: bytes, start: int) -> list[Sample]:
         """Return the samples that a line completes."""
-        if single := _TELEPLOT.fullmatch(text):
-            name, line = single[1].strip(), ",".join(self._group.values())
+        if single := plotted(text):
+            name, line = single[0], ",".join(self._group.values())
             whole = name in self._group or len(self._group) > MOST_VALUES
-            self._group = ({} if whole else self._group) | {name: f"{name}:{single[2]}{single[3] or ''}"}
+            self._group = ({} if whole else self._group) | {name: ":".join(single)}
             return self._line(line, line.encode(), start) if whole else []
-        form, values = _read_line(text)
-        if f"{form}{_MARK}" == self._form:  # the last field is empty
+        form, cells = fields(text)
+        values = [float(cell or "nan") for cell in cells]
+        if f"{form}{MARK}" == self._form:  # the last field is empty
             form, values = self._form, [*values, math.nan]
         if form == self._form and not self._closed:
             return self._sample(values, packet, start)
-        columns = _columns(form)
-        if not columns and self._take_names(text):
+        found = columns(form)
+        if not found and self._take_names(text):
             return []
-        if _COMMAS.fullmatch(text) or (not columns and _PAIRS.fullmatch(text)):
+        if _COMMAS.fullmatch(text) or (not found and _PAIRS.fullmatch(text)):
             self._drop(packet, why := "numbers must have decimal points, not commas")
             self._commas += 1
             if self._commas > _MOST_COMMAS:
                 self._closed = why
                 self._remark(f"Nothing is read: {why}.")
-        elif self._closed or self._form or not columns:
-            self._misfits += bool(columns and self._accepted <= _MOST_HELD)
+        elif self._closed or self._form or not found:
+            self._misfits += bool(found and self._accepted <= _MOST_HELD)
             if self._misfits > _MOST_HELD:  # what fixed the form was printed before the data
                 self._form, self._misfits, self._accepted = "", 0, 0
-            other = f"{len(columns)} numbers in another form than the lines before"
-            self._drop(packet, self._closed or (other if columns else "not a line of numbers"))
+            other = f"{len(found)} numbers in another form than the lines before"
+            self._drop(packet, self._closed or (other if found else "not a line of numbers"))
         else:
-            return self._hold(columns, (form, text, start, packet))
+            return self._hold(found, (form, text, start, packet))
         return []
 
-    def _hold(self, columns: list[tuple[str, str]], line: tuple[str, str, int, bytes]) -> list[Sample]:
+    def _hold(self, found: tuple[tuple[str, str], ...], line: tuple[str, str, int, bytes]) -> list[Sample]:
         """Keep a line; when enough agree, their form is that of the board."""
         form, text, _, packet = line
-        named, clock = self._named(columns, form)
-        n = len(columns) - (clock is not None)
-        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or not any(_NUMBER.findall(text)):
+        named, clock = self._named(found, form)
+        n = len(found) - (clock is not None)
+        if not 1 <= n <= MOST_VALUES or self._channels not in (None, n) or not any(fields(text)[1]):
             self._drop(packet, f"{n} numbers, not {self._channels or f'1 to {MOST_VALUES}'}")
             return []
         self._held.append(line)
@@ -374,12 +366,14 @@ class _Lines(_Packets):
             self._fix(named, clock, form)
         return [sample for _, text, start, packet in held for sample in read(text, packet, start)]
 
-    def _named(self, columns: list[tuple[str, str]], form: str) -> tuple[list[tuple[str, str]], int | None]:
+    def _named(
+        self, found: tuple[tuple[str, str], ...], form: str
+    ) -> tuple[list[tuple[str, str]], int | None]:
         """Return names and units of the columns, by labels or a header, and which of them is the time."""
-        names = [label for label, _ in columns]
-        if not any(names) and len(self._header) == len(names) and self._separator == _separator(form):
+        names = [label for label, _ in found]
+        if not any(names) and len(self._header) == len(names) and self._separator == separator(form):
             names = list(self._header)
-        split = [(name_and_unit(name), unit) for name, (_, unit) in zip(names, columns, strict=True)]
+        split = [(name_and_unit(name), unit) for name, (_, unit) in zip(names, found, strict=True)]
         named = [(name, said or unit) for (name, unit), said in split]
         return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
@@ -392,8 +386,7 @@ class _Lines(_Packets):
             if not self._time[1]:
                 self._remark("The column of times has no unit and is left out; times are those of arrival.")
         names, units = zip(*named, strict=True)
-        if units[-1] and not any(units[:-1]):  # a unit behind the last number is that of all
-            units = units[-1:] * len(units)
+        units = tuple(of_all(units))
         if "" in names or len(set(names)) < len(names):
             names = _numbered(len(names)) if any((*names, *units)) else ()
         self.names, self.units = names, units[: len(names)]
@@ -417,23 +410,21 @@ class _Lines(_Packets):
 
     def _take_names(self, text: str, *, cut: bool = False) -> bool:
         """Take a header; return whether a line is one. One cut off in front tells the other columns only."""
-        separator = _separator(text)
-        fields = text.split() if separator == " " else text.rstrip(separator + " ").split(separator)
-        names = tuple(field.strip() for field in fields)
-        if not names or not all(_NAME.fullmatch(name) and not _NUMBER.fullmatch(name) for name in names):
+        names, mark = names_of(text), separator(text)
+        if not names:
             return False
         if self._form:
-            if (len(names), separator) != (self._form.count(_MARK), _separator(self._form)):
-                if separator != " " and self._accepted <= _MOST_HELD:  # the data begin here
-                    self._form, self._header, self._separator = "", names, separator
+            if (len(names), mark) != (self._form.count(MARK), separator(self._form)):
+                if mark != " " and self._accepted <= _MOST_HELD:  # the data begin here
+                    self._form, self._header, self._separator = "", names, mark
                 return not self._form
             same = names[int(cut) :] == self._header[int(cut) :] or not self._header
             self._closed = "" if same else "after a header with other names"
             self.counters["restarts"] += same and not cut
             return same
         if not (cut and _may_be_cut(names[0])):
-            self._header, self._separator = names, separator
-            while self._held and separator != " ":
+            self._header, self._separator = names, mark
+            while self._held and mark != " ":
                 self._drop(self._held.pop()[3], "before the names of the columns")
         return True
 
@@ -445,37 +436,12 @@ class _Lines(_Packets):
 
 def _plain(packet: bytes) -> str:
     """Return the text of a line without quotes and what Python or JSON put round it."""
-    text = packet.decode(errors="replace").strip().replace(_MARK, "\ufffd")
-    text = _QUOTED.sub(r"\1", text)
-    wrapped = _WRAPPED.fullmatch(text)
-    return (wrapped[1] or wrapped[2] or "").strip() if wrapped else text
+    text = packet.decode(errors="replace").strip().replace(MARK, "\ufffd")
+    return unwrapped(_QUOTED.sub(r"\1", text)).strip()
 
 
 def _numbered(n: int) -> tuple[str, ...]:
     return tuple(f"u{k + 1}" for k in range(n))
-
-
-def _separator(text: str) -> str:
-    return next((mark for mark in ";,\t" if mark in text), " ")
-
-
-def _read_line(text: str) -> tuple[str, list[float]]:
-    """Return the form of a line and its numbers, NaN where one is missing."""
-    text = _EMPTY.sub("nan", _BLANKS.sub(r"\1", text))
-    return _NUMBER.sub(_MARK, text), [float(number or "nan") for number in _NUMBER.findall(text)]
-
-
-@functools.lru_cache(64)
-def _columns(form: str) -> list[tuple[str, str]]:
-    """Return label and unit of every number; nothing if the form is not that of a line of numbers."""
-    first, *between = [_BETWEEN.fullmatch(part) for part in f",{form}".split(_MARK)]
-    parts = [part for part in between if part]
-    if not first or not first[2] or not parts or len(parts) < len(between) or parts[-1][3]:
-        return []
-    found = [(before[3] or "", behind[1] or "") for before, behind in pairwise([first, *parts])]
-    separators = {part[2] for part in parts[:-1]}
-    whole = "" not in separators and len(separators) < 2
-    return found if whole and len({bool(label) for label, _ in found}) == 1 else []
 
 
 def _time_scale(name: str, unit: str) -> float | None:

@@ -10,7 +10,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -138,8 +137,7 @@ def test_live_states_what_a_calibration_leaves_open(folder):
 @pytest.mark.slow
 def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    with emulated(folder) as port:
-        time.sleep(0.2)
+    with emulated(folder) as port:  # it has said that its port is there
         assert main(["record", port, "-o", "port.rec", "--duration", "1"]) == 0
         assert (
             main(["live", port, "--robot", "robot.toml", "--estimates", "live.csv", "--duration", "2"]) == 0

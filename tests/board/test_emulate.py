@@ -44,6 +44,7 @@ from repro_board.emulate import (
 )
 from repro_board.steps import Steps
 from repro_board.wire import Parser
+from tests.board.waiting import until
 
 LOW, HIGH = np.array([-0.01, -0.02, 0.0, -0.01, 0.0, 0.0]), np.array([0.01, 0.02, 0.006, 0.01, 0.0, 0.006])
 ROBOT = Robot(
@@ -431,14 +432,6 @@ def read_for(address, seconds, enough=10**9):
                 found += data
                 times.append((time.monotonic(), len(found)))
     return found, np.array(times)
-
-
-def until(holds, seconds=5.0):
-    """Wait until something holds."""
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @pytest.fixture(params=["pty", "tcp"])

@@ -13,17 +13,17 @@ from repro import InputError
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
 from repro.tolerances import placed
-from repro_board import evaluate
+from repro_board import cleaning, report
+from repro_board import lag as module
 from repro_board.cli import main
 from repro_board.evaluate import (
-    Signal,
+    calibrate_by_motion,
     calibrate_files,
     evaluate_files,
-    fine_lag,
     pose_covariance,
-    search_lag,
     track_file,
 )
+from repro_board.lag import Signal, fine_lag, search_lag
 
 DATA = Path(__file__).parent / "data"
 RAW = DATA / "robot_raw.toml"
@@ -134,7 +134,7 @@ LM = "calibrated, levenberg marquardt"
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory) -> tuple[Path, Path, Path, evaluate.Report]:
+def good(tmp_path_factory) -> tuple[Path, Path, Path, report.Report]:
     folder = tmp_path_factory.mktemp("good")
     path = robot_file(folder)
     readings, poses = recording(folder, repro.load_robot(path))
@@ -173,7 +173,7 @@ def test_errors_of_1_and_7_mm_have_a_mean_of_4_and_a_root_mean_square_of_5():
     robot, one = repro.Robot([repro.ConstantCurvature(0.11, 0.022)]), 1e-6 * np.eye(3)
     shapes = {"a": estimates(robot, [[0, 0, -1e-3], [0, 0, 7e-3], [0, 0, np.nan]], 0.36 * one)}
     shapes |= {"b": estimates(robot, np.zeros((3, 3))), "c": estimates(robot, np.zeros((3, 3)), one)}
-    table = evaluate.errors_table(estimates(robot, np.zeros((3, 3))), 0.64 * one, shapes)
+    table = report.errors_table(estimates(robot, np.zeros((3, 3))), 0.64 * one, shapes)
     rows = table.set_index(["estimate", "quantity"]).drop(columns="unit")
     grown = np.sqrt((1 + 0.95 * 48) / 3.841459)  # of the squares 1 and 49, one degree of freedom
     np.testing.assert_allclose(rows.loc[("a", "delta_L_1")], [4, 5, 7, 6.7, 50, grown, 2], rtol=1e-6)
@@ -192,7 +192,7 @@ def test_angles_are_in_degrees_and_go_the_short_way_round():
     named = frame[["kappa_0_1_rad", "phi_1_deg", "rotation_x_2_deg", "phi_1_sd_deg", "rotation_x_2_sd_deg"]]
     np.testing.assert_allclose(named.iloc[0], [np.pi / 6, 90, -45, 2, 3])
     turned = np.where(np.arange(5) == 2, np.radians([[92.0], [-179.0]]), q)
-    table = evaluate.errors_table(estimates(robot, q), np.eye(5), {"a": estimates(robot, turned)})
+    table = report.errors_table(estimates(robot, q), np.eye(5), {"a": estimates(robot, turned)})
     phi = table[table["quantity"] == "phi_1"].iloc[0]
     np.testing.assert_allclose([phi["mean"], phi["rmse"], phi["largest"]], 2.0)
     assert phi["unit"] == "deg"
@@ -222,10 +222,10 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
     u = (0.8 * q[:, 0] + 0.6 * noise)[:, None]
     t = np.arange(4000) / 40
     with pytest.raises(InputError, match=r"of one motion; instead received (59|60|61)% of the readings"):
-        evaluate.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0)
+        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0)
     x = q[:, :1]
     for u, left in ((3 * x + 1, 0.0), (-x, 1.0), (0.8 * x + 0.6 * noise[:, None], 0.36)):
-        assert evaluate._unexplained(u, x) == pytest.approx(left, abs=0.03)
+        assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
 
 
 def test_residuals_of_a_calibration_are_root_mean_squares():
@@ -238,7 +238,7 @@ def test_residuals_of_a_calibration_are_root_mean_squares():
         1.0, 9, 1.0, 1.0, np.zeros((2, 2)),
     )  # fmt: skip
     q = shapes(robot, np.arange(9.0))
-    text = evaluate._calibration_report(found, q, robot.sensing()(q))
+    text = report.calibration_report(found, q, robot.sensing()(q))
     assert "mT as described, 3.54 mT calibrated." in text
     assert "1 parameters stay as uncertain as before: sensor 1 offset" in text
 
@@ -252,7 +252,7 @@ def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
         Trajectory(q=q, covariance=None, **of),
         Trajectory(q=q + error, covariance=C[None] / 4 + 0 * q[..., None], **of),
     )
-    table = evaluate.errors_table(truth, np.zeros((3, 3)), {"one": found})
+    table = report.errors_table(truth, np.zeros((3, 3)), {"one": found})
     assert table["grown"].to_numpy() == pytest.approx(2.0, rel=0.06)
 
 
@@ -322,11 +322,11 @@ def test_only_what_no_pose_explains_is_an_error_of_the_bus():
     robot, t = repro.load_robot(EXAMPLE), np.arange(400) / 40
     q = np.where(np.arange(400)[:, None] > 300, shapes(robot, t), shapes(robot, 0 * t))
     u, lines = robot.sensing()(q), list[str]()
-    np.testing.assert_array_equal(evaluate._without_spikes(robot, q, u, t, lines), u)
+    np.testing.assert_array_equal(cleaning.without_spikes(robot, q, u, t, lines), u)
     assert not lines
     spoilt = u.copy()
     spoilt[::10, 2] = 3e4
-    found = evaluate._without_spikes(robot, q, spoilt, t, lines)
+    found = cleaning.without_spikes(robot, q, spoilt, t, lines)
     np.testing.assert_array_equal(np.isnan(found), spoilt == 3e4)
     assert lines[0].endswith(
         "calibration: 40 in 40 of 400 rows, from 0.00 s, 0.25 s, 0.50 s, 0.75 s, 1.00 s and 35 more."
@@ -402,12 +402,12 @@ def test_a_robot_at_rest_is_not_taken_for_a_frozen_capture(good, tmp_path):
     )
     q = pd.read_csv(poses).iloc[:, 1:].to_numpy() / 1e3
     u = pd.read_csv(readings).iloc[:, 1:].to_numpy()
-    repeats = evaluate._repeats(q)
+    repeats = cleaning.repeats(q)
     assert repeats.sum() > 90
-    assert not evaluate._frozen(q, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise).any()
+    assert not cleaning.frozen(q, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise).any()
     held = q.copy()
     held[1500:1530] = held[1500]
-    found = evaluate._frozen(held, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise)
+    found = cleaning.frozen(held, frame["time_s"].to_numpy() + LAG_S, t, u, robot.noise)
     np.testing.assert_array_equal(np.flatnonzero(found), np.arange(1501, 1530))
 
 
@@ -669,11 +669,9 @@ def test_odd_times_and_a_robot_without_spare_readings_are_told(tmp_path):
     assert "rows count as one second" in str(
         track_file(write_table(tmp_path / "a.csv", None, names, u), slow)
     )
-    assert (
-        "All rows are consistent" in evaluate.suspicions(repro.track(repro.LevenbergMarquardt(robot), u))[-1]
-    )
+    assert "All rows are consistent" in report.suspicions(repro.track(repro.LevenbergMarquardt(robot), u))[-1]
     alone = repro.LevenbergMarquardt(robot.replaced(sensors=robot.sensors[:3], noise=0.01))
-    assert "the fit uses up all readings" in evaluate.suspicions(repro.track(alone, u[:, :3]))[0]
+    assert "the fit uses up all readings" in report.suspicions(repro.track(alone, u[:, :3]))[0]
 
 
 def test_tables_keep_large_times_and_are_never_written_over(tmp_path):
@@ -876,7 +874,7 @@ def in_motion(folder: Path, spike: bool = False) -> tuple[Path, np.ndarray, np.n
 @pytest.mark.parametrize("spike", [False, True])
 def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike):
     path, gains, offsets = in_motion(tmp_path, spike)
-    report = calibrate_files(path, None, EXAMPLE, tmp_path / "c.json", self_=True)
+    report = calibrate_by_motion(path, EXAMPLE, tmp_path / "c.json")
     found = report.found
     truth = dict.fromkeys(found.names, 0.0)
     for k, name in enumerate(f"{j} {{}} {axis}" for j in range(1, 5) for axis in "xyz"):
@@ -904,28 +902,29 @@ def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_pa
     u = 1e3 * robot.sensing()(shapes(robot, np.arange(0, 10, 0.025)))
     u[200, 1] = 32767
     path = write_table(tmp_path / "u.csv", np.arange(0, 10, 0.025), ["u1", "u2", "u3"], u.round())
-    report = calibrate_files(path, None, RAW, tmp_path / "c.json", self_=True)
+    report = calibrate_by_motion(path, RAW, tmp_path / "c.json")
     assert np.abs(report.found.estimate / report.found.tolerances).max() < 0.2
     assert str(report).count("not determined") == len(report.found.names)
     assert "; 1 do not fit" in str(report)
 
 
 @pytest.mark.slow
-def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path):
+def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path, capsys):
     path, _, _ = in_motion(tmp_path)
+    mirrored = rewritten(path, lambda frame: frame.update(-frame[["B1x", "B2y"]]))
     with pytest.raises(
         InputError, match="readings of repro calibrate --self must be those of this robot in motion"
     ):
-        calibrate_files(rewritten(path, lambda frame: frame.update(-frame[["B1x", "B2y"]])), None, EXAMPLE,
-                        tmp_path / "c.json", self_=True)  # fmt: skip
+        calibrate_by_motion(mirrored, EXAMPLE, tmp_path / "c.json")
     path, _, _ = in_motion(tmp_path)
     off = rewritten(path, lambda frame: frame.update(frame["B1x"] + 1.4))
-    text = str(calibrate_files(off, None, EXAMPLE, tmp_path / "c.json", self_=True))
+    text = str(calibrate_by_motion(off, EXAMPLE, tmp_path / "c.json"))
     assert [line.split(":")[0].strip() for line in text.splitlines() if "DOUBT" in line] == [
         "sensor 1 offset x"
     ]
-    with pytest.raises(InputError, match="poses of repro calibrate must be left out with --self"):
-        calibrate_files(path, DATA / "held_poses.csv", EXAMPLE, tmp_path / "d.json", self_=True)
+    words = ["calibrate", str(path), str(DATA / "held_poses.csv"), "--self"]
+    assert main([*words, "--robot", str(EXAMPLE), "-o", str(tmp_path / "d.json")]) == 2
+    assert "poses of repro calibrate must be left out with --self" in capsys.readouterr().err
 
 
 def test_pose_noise_by_the_kind_of_coordinate():

@@ -25,11 +25,14 @@ from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Rob
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
 from repro_board import page_server as server_module
+from repro_board import words as words_module
 from repro_board.emulate import course, faulty
-from repro_board.live import BURST, LOOK_S, Follower, Session, Table, live, notes, numbers, sentences, summary
+from repro_board.live import BURST, LOOK_S, MOMENT_S, Follower, Session, Table, live
 from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
 from repro_board.record import Writer, open_port, read_recording
 from repro_board.wire import encode, text_line
+from repro_board.words import notes, numbers, sentences, summary
+from tests.board.waiting import until
 
 RATE_HZ = 1000.0
 ROBOT = Robot(
@@ -90,14 +93,24 @@ def play(board: int, frames: list[bytes], apart_s: float = 1 / RATE_HZ) -> threa
 def session_of(frames=(), *, robot=ROBOT, name="", since_s: float = 0.0, port=None, format=None) -> Session:
     """A session that has taken frames in, and began some time ago."""
     port = port or SimpleNamespace(opened=1, lost="")
-    session = Session(Follower(robot, name), port, format=format)
+    session = Session(Follower(robot, name), port, format=format, with_shape=True)
     session.began = session.heard = session.estimated_at = time.monotonic() - since_s
     for frame in frames:
-        session.arrivals.put((time.monotonic(), frame))
+        session.inbox.put((time.monotonic(), frame))
         session.turn()
         while session.pending:
             session.turn()
+    session.counts.clear()  # how long a computer takes for this is no pace of a board
+    session.moment = session.look()
     return session
+
+
+def said(session: Session) -> list[str]:
+    return list(sentences(session.facts()))
+
+
+def noted(session: Session) -> list[str]:
+    return list(notes(session.facts()))
 
 
 # --------------------------------------------------------------------------------------------------------- the loop
@@ -107,6 +120,8 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     session, rows = Session(Follower(ROBOT), port, writer), []
     session.follower.warm()
     session.each = rows.append
+    look, made = session.look, []
+    session.look = lambda: made.append(time.monotonic()) or look()
     thread = play(board, sent(U[:400]))
     session.run(0.4 + 0.6)
     thread.join()
@@ -122,6 +137,8 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     samples = read_recording(tmp_path / "a.rec").samples
     np.testing.assert_array_equal([x.values for x in samples], U[:400].astype(np.float32))
     assert 0 < min(session.latencies) <= np.median(session.latencies) < 0.1
+    assert min(np.diff(made)) >= MOMENT_S * 0.99
+    assert 8 < len(made) <= 1 / MOMENT_S
 
 
 def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp_path, monkeypatch):
@@ -157,7 +174,7 @@ def test_estimates_are_those_of_track():
     session, rows = session_of(name="kalman"), []
     session.each = rows.append
     for k, frame in enumerate(sent(U[:200])):
-        session.arrivals.put((session.began + TIMES[k], frame))
+        session.inbox.put((session.began + TIMES[k], frame))
         session.turn()
     expected = track(
         KalmanFilter(ROBOT), U[:200].astype(np.float32).astype(float), times=[t for t, _, _ in rows]
@@ -170,13 +187,13 @@ def test_a_session_that_is_behind_takes_the_newest_and_counts_the_others():
     session = session_of()
     late = time.monotonic() - 2 * module.BEHIND_S
     for frame in sent(U[:50]):
-        session.arrivals.put((late, frame))
+        session.inbox.put((late, frame))
     session.turn()
     assert session.own["skipped"] == 49
     assert session.own["estimates"] == 1
     np.testing.assert_array_equal(session.last[1], U[49].astype(np.float32))
-    assert "slower than the board" in sentences(session)[0]
-    assert notes(session)[-1].startswith("49 time steps were left out")
+    assert "slower than the board" in said(session)[0]
+    assert noted(session)[-1].startswith("49 time steps were left out")
 
 
 def test_a_packet_of_many_frames_is_no_reason_to_leave_any_out():
@@ -284,40 +301,40 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_wrong_is_said(case):
     make, words = CASES[case]
-    said = sentences(make())
-    assert any(words in text for text in said), said
+    found = said(make())
+    assert any(words in text for text in found), found
 
 
 def test_all_is_well_and_nothing_is_said():
     session = session_of(sent(U[:100]))
-    assert sentences(session) == []
-    assert summary(session)["fit"].startswith("consistent, residuals ")
-    assert numbers(session)[0].startswith("tip x ")
-    assert numbers(session)[3].endswith(" mm")
+    assert said(session) == []
+    assert summary(session.facts())["fit"].startswith("consistent, residuals ")
+    assert numbers(session.facts())[0].startswith("tip x ")
+    assert numbers(session.facts())[3].endswith(" mm")
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
 def test_the_first_second_of_garbage_is_no_silence(since_s):
-    assert sentences(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
+    assert said(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
 
 
 def test_a_remark_of_the_past_explains_no_fault_of_now():
     """Two frames of stream 3, then readings, then garbage; and then stream 3 again."""
     session = session_of([encode(U[0], 3, k) for k in range(2)] + sent(U[:50]), since_s=2)
     other = "Samples of stream 3 are none of the robot's: left out."
-    assert notes(session) == [other]
-    assert "2 other streams" in summary(session)["received"]
+    assert noted(session) == [other]
+    assert "2 other streams" in summary(session.facts())["received"]
 
     def after(frame: bytes) -> str:
         session.counts.clear()
         session.turn()
-        session.arrivals.put((time.monotonic(), frame))
+        session.inbox.put((time.monotonic(), frame))
         session.turn()
-        return sentences(session)[0]
+        return said(session)[0]
 
     assert after(bytes(range(1, 256))).startswith("Bytes arrive, but no readings. Is --baud")
     assert after(encode(U[0], 3, 2)) == f"What arrives does not fit this robot. {other}"
-    assert notes(session) == [other]
+    assert noted(session) == [other]
 
 
 def test_imus_are_followed_and_a_silent_one_is_named():
@@ -334,24 +351,24 @@ def test_imus_are_followed_and_a_silent_one_is_named():
         frames += [encode(noisy[i - 1], i, k, 10_000 * k + 100 * i) for i in senders]
     session = session_of(frames, robot=robot, name="kalman")
     assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
-    assert sentences(session) == ["There is no reading of imu 3; it is left out."]
+    assert said(session) == ["There is no reading of imu 3; it is left out."]
 
 
 def test_a_slow_board_is_not_taken_for_a_silent_one():
     session = session_of(sent(U[:3]), robot=ROBOT.replaced(rate_hz=0.3), since_s=4)
-    session.counts[0] = time.monotonic() - 2, session.counters()
+    session.counts.append((time.monotonic() - 2, session.counters()))
     session.heard = session.estimated_at = time.monotonic() - 3
-    assert sentences(session) == []
-    assert session.age_s() == 0
+    assert said(session) == []
+    assert session.facts().age_s == 0
 
 
 def test_silence_and_a_lost_port_are_told_apart():
     session = session_of(sent(U[:20]))
     session.heard = session.estimated_at = time.monotonic() - 1.5
-    assert sentences(session)[0].startswith("Nothing arrives any more.")
-    assert summary(session)["fit"].startswith("2 s old; ")
-    session.port.lost = "unplugged"
-    assert sentences(session) == ["The port is gone; we wait until it is there again."]
+    assert said(session)[0].startswith("Nothing arrives any more.")
+    assert summary(session.facts())["fit"].startswith("2 s old; ")
+    session.lost = "unplugged"
+    assert said(session) == ["The port is gone; we wait until it is there again."]
 
 
 @pytest.mark.parametrize(
@@ -364,19 +381,20 @@ def test_another_rate_than_stated_is_said(factor, wrong):
     session.own["time_steps"] += round(factor * RATE_HZ)
     word = "More" if factor > 1 else "Fewer"
     expected = f"{word} than the 1000 time steps of the robot file arrive in a second."
-    assert sentences(session) == [expected] * wrong
+    assert said(session) == [expected] * wrong
 
 
 def test_what_was_asked_for_and_what_cannot_be_told_is_noted():
     session = session_of()
     session.follower = Follower(ROBOT, failed=[2], grown=1.5)
-    assert notes(session) == [
+    assert noted(session) == [
         "Not used, as asked: sensor 2.",
         "Every ± is 1.5 times what the estimator states.",
     ]
     session.follower = Follower(ROBOT.replaced(sensors=ROBOT.sensors[:6]))
+    session.robot = session.follower.robot
     session.last = 0.0, U[0, :6], SimpleNamespace(details={"status": UNCHECKED})
-    assert notes(session) == [
+    assert noted(session) == [
         "There are no more readings than unknowns: a wrong sensor looks like another shape."
     ]
 
@@ -387,6 +405,14 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
     What it shows on the terminal fails.
     """
     monkeypatch.setattr(module, "terminal", lambda _: 1 / 0)
+    stop, estimate = threading.Event(), Session._estimate
+
+    def counted(session: Session, *given) -> None:
+        estimate(session, *given)
+        if session.own["estimates"] == 40:
+            stop.set()
+
+    monkeypatch.setattr(Session, "_estimate", counted)
     robot = repro.load_robot(repro.example() / "robot.toml")
     u = robot.sensing()(course(robot, np.arange(40) / 25.0))
     lines = ["time_s," + ",".join(f"{name}_mT" for name in robot.names)]
@@ -401,9 +427,7 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
                     time.sleep(0.01)
                 stop.wait(5)
 
-        stop = threading.Event()
         threading.Thread(target=board, daemon=True).start()
-        threading.Timer(1.2, stop.set).start()
         address = f"socket://127.0.0.1:{server.getsockname()[1]}"
         paths = {"output": tmp_path / "a.rec", "estimates": tmp_path / "a.csv"}
         end = live(address, repro.example() / "robot.toml", stop=stop, **paths)
@@ -430,7 +454,9 @@ def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path)
 # ---------------------------------------------------------------------------------------------------------- the page
 @pytest.fixture
 def page():
-    with PageServer(session_of(sent(U[:50]))) as server:
+    session = session_of(sent(U[:50]))
+    session.moment = session.moment._replace(made_s=time.monotonic() + 60)  # and it goes on like this
+    with PageServer(session) as server:
         yield server
 
 
@@ -560,9 +586,7 @@ def test_a_page_that_takes_nothing_delays_no_other_and_too_many_are_refused(page
     assert ask(page, "/events")[0] == 503
     other.link.close()
     other.close()
-    deadline = time.monotonic() + 5
-    while len(page.pages) == MOST_PAGES and time.monotonic() < deadline:
-        time.sleep(0.02)
+    until(lambda: len(page.pages) < MOST_PAGES)
     assert stream(page).status == 200
 
 
@@ -586,31 +610,49 @@ def test_pages_are_told_of_the_end(stream):
 
 
 def test_a_message_names_the_suspect_and_is_json():
-    told = message(session_of(sent(faulty(U[:400], "unplugged", 2, since=200))))
-    assert told["suspects"] == told["shape"]["suspects"] == [2]
-    assert told["alarms"] == [LEFT]
+    told = message(session_of(sent(faulty(U[:400], "unplugged", 2, since=200))).moment)
+    assert list(told["suspects"]) == told["shape"]["suspects"] == [2]
+    assert told["alarms"] == (LEFT,)
     assert told["doubt"] == "left out"
     assert abs(told["residuals"][2]) > 100
     for case in ("nothing yet", "no chip", "undetermined", "all frozen"):
-        json.dumps(message(CASES[case][0]()), allow_nan=False)
+        json.dumps(message(CASES[case][0]().moment), allow_nan=False)
 
 
-def test_a_message_is_of_one_moment(monkeypatch):
-    """The session's thread goes on while another one makes a message."""
+def test_a_moment_stays_as_it_was_made_while_the_session_goes_on():
     session = session_of(sent(U[:50]))
-    first, session.each = session.last, lambda _: None
+    first = session.moment
+    told = json.dumps(message(first))
+    session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
+    session.moment = session.look()
+    assert json.dumps(message(first)) == told
+    assert (first.last[0] < 1, session.moment.last[0]) == (True, 9.0)
+    assert session.moment.numbers != first.numbers
+    with pytest.raises(AttributeError):
+        first.numbers = ()
 
-    def meanwhile(seen) -> list[str]:
-        session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
-        return numbers(seen)
 
-    expected = numbers(session)
-    monkeypatch.setattr(server_module, "numbers", meanwhile)
-    told = message(session)
-    assert session.last[0] == 9.0
-    assert told["numbers"] == expected
-    assert told["time_s"] == first[0]
-    np.testing.assert_allclose(told["readings"], first[1], rtol=1e-4)
+def test_a_moment_that_nothing_takes_the_place_of_is_old():
+    session = session_of(sent(U[:50]))
+    assert message(session.moment)["doubt"] == ""
+    assert message(session.moment._replace(made_s=time.monotonic() - 1.1))["doubt"] == "old"
+
+
+def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatch):
+    session = session_of(sent(U[:50]))
+    monkeypatch.setattr(words_module, "numbers", lambda _: 1 / 0)
+    session.moment = session.look()
+    failed = "The view has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
+    assert message(session.moment) == {
+        "doubt": "old", "numbers": ("not known",), "summary": {}, "alarms": (failed,), "notes": (), "suspects": (),
+    }  # fmt: skip
+    session.inbox.put((time.monotonic(), sent(U[:51])[-1]))
+    session.turn()
+    assert session.own["estimates"] == 51
+    assert noted(session) == [failed]
+    session.blinded("page", ValueError("late"))
+    session.settle()
+    assert noted(session)[0].startswith("The page has failed")
 
 
 def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatch):
@@ -622,7 +664,8 @@ def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatc
         assert told["alarms"][0].startswith("The page has failed, and the session goes on without it (")
         monkeypatch.undo()
         assert any(event(answer)["doubt"] != "old" for _ in range(100))
-    assert notes(page.session)[0].startswith("The page has failed")
+    page.session.turn()
+    assert noted(page.session)[0].startswith("The page has failed")
 
 
 def test_a_port_that_there_is_not_is_refused(page):
@@ -643,7 +686,7 @@ async def cut_off(server) -> None:
 @pytest.mark.slow
 def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
     session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
-    session.heard = session.estimated_at = time.monotonic() + 60  # and it goes on like this
+    session.moment = session.moment._replace(made_s=time.monotonic() + 60)  # and it goes on like this
     with PageServer(session) as server:
         opened = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
         page = opened.new_page()
@@ -690,5 +733,5 @@ def test_a_chip_too_near_a_magnet_is_left_out_and_said():
     assert {int(x.details["status"]) for x in found} == {0}
     assert np.abs(np.array([x.q for x in found]) - q).max() < 2e-3
     session = session_of()
-    session.follower, session.last = follower, (0.4, u[-1], found[-1])
-    assert any(text.startswith("inside is so close to a magnet") for text in sentences(session))
+    session.follower, session.robot, session.last = follower, robot, (0.4, u[-1], found[-1])
+    assert any(text.startswith("inside is so close to a magnet") for text in said(session))

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
+from repro_board import record as module
 from repro_board.record import (
     Writer,
     arrival_times,
@@ -35,6 +36,7 @@ from repro_board.record import (
 )
 from repro_board.steps import STANDS_STILL
 from repro_board.wire import encode
+from tests.board.waiting import until
 
 SECOND = 10**9
 START = 17 * 10**17
@@ -50,6 +52,12 @@ def written(path: Path, parts: list[bytes], step_ns: int = 10**7) -> Path:
         writer.write(START + k * step_ns, part)
     writer.close()
     return path
+
+
+def block_of(kind: bytes, number: int, content: bytes, identity: int = 5) -> bytes:
+    """A block, by the table at the head of the module."""
+    head = struct.pack("<4sc3xIIIq", b"RRB2", kind, identity, number, len(content), START)
+    return head + struct.pack("<I", zlib.crc32(head + content)) + content
 
 
 # ------------------------------------------------------------------------------------------------ what is written
@@ -235,7 +243,7 @@ def test_half_a_line_before_a_missing_block_is_no_number(tmp_path):
     assert len(recording.samples) == 5
 
 
-@pytest.mark.parametrize("content", [b"", b"RRB2", b"RRB1" * 99, b"time_s,u1\n0,1\n", bytes(999)])
+@pytest.mark.parametrize("content", [b"", b"RRB2", b"RRB2" * 99, b"time_s,u1\n0,1\n", bytes(999)])
 def test_what_has_no_whole_block_is_refused(tmp_path, content):
     (tmp_path / "a.rec").write_bytes(content)
     with pytest.raises(
@@ -248,67 +256,45 @@ def test_what_has_no_whole_block_is_refused(tmp_path, content):
 
 @pytest.mark.parametrize("about", [b"{", b"[1]", b"[" * 50_000, b'{"format": 7, "channels": "x"}', b"\xff"])
 def test_a_first_block_that_says_nothing_usable_costs_nothing(tmp_path, about):
-    head = struct.pack("<4sc3xIIIq", b"RRB2", b"A", 5, 0, len(about), 0)
-    data = head + struct.pack("<I", zlib.crc32(head + about)) + about
-    for k, content in enumerate(frames(range(3)), 1):
-        head = struct.pack("<4sc3xIIIq", b"RRB2", b"B", 5, k, len(content), START)
-        data += head + struct.pack("<I", zlib.crc32(head + content)) + content
+    data = block_of(b"A", 0, about) + b"".join(
+        block_of(b"B", k, x) for k, x in enumerate(frames(range(3)), 1)
+    )
     (tmp_path / "a.rec").write_bytes(data)
     assert len(read_recording(tmp_path / "a.rec").samples) == 3
 
 
-# ------------------------------------------------------------------------------------------------ first edition
-def first_edition(
-    path: Path, about: dict, blocks: list[tuple[int, bytes]], beside: dict | None = None
-) -> Path:
-    text = json.dumps(about).encode()
-    data = [damaged.old_block(b"H", 0, len(text), text)]
-    data += [damaged.old_block(b"F", n, len(rows) // (20 + 8 * n) if n else 1, rows) for n, rows in blocks]
-    path.write_bytes(b"".join(data))
-    if beside is not None:
-        path.with_name(f"{path.name}.json").write_text(json.dumps(beside))
-    return path
+def test_a_recording_of_an_earlier_edition_is_refused_in_words(tmp_path):
+    """A whole block of it, whose values had a width of zero; or many, that end where a block ends."""
+    content = b'{"format": "frames"}'
+    head = struct.pack("<4scxHI", b"RRB1", b"H", 0, len(content))
+    block = head + struct.pack("<I", zlib.crc32(head + content)) + content
+    robot = Robot([ConstantCurvature(0.1, 0.02)], sensors=[Sensor(1, 0.05)])
+    for data in (block, 30 * block):
+        (tmp_path / "a.rec").write_bytes(data)
+        with pytest.raises(
+            InputError, match=r"file of a\.rec .* one of an earlier edition \(version 1\.0 reads"
+        ):
+            readings_of(robot, tmp_path / "a.rec")
 
 
-def rows(host_ns: int, *values: list[float], known: int = 0) -> tuple[int, bytes]:
-    n = max(map(len, values))
-    packed = [
-        struct.pack(f"<qIIHBB{n}d", host_ns, 2**32 - 500, k, 3, len(x), known, *x, *[0.0] * (n - len(x)))
-        for k, x in enumerate(values)
-    ]
-    return n, b"".join(packed)
+def test_a_block_of_no_bytes_costs_nothing(tmp_path):
+    parts = frames(range(6))
+    contents = [b"{}", *parts[:3], b"", *parts[3:]]
+    kinds = [b"A", *[b"B"] * 7]
+    blocks = [block_of(kind, k, x) for k, (kind, x) in enumerate(zip(kinds, contents, strict=True))]
+    (tmp_path / "a.rec").write_bytes(b"".join(blocks))
+    assert [sample.sequence for sample in read_recording(tmp_path / "a.rec").samples] == list(range(6))
 
 
-ABOUT = {"format": "csv", "channels": ["x_uT", "y"], "start_unix_s": 1.7e9, "start_host_ns": 5 * SECOND}
-
-
-def test_a_recording_of_the_first_edition_is_read(tmp_path):
-    blocks = [rows(6 * SECOND, [1.5, 2.0], [2.5, 3.0]), rows(7 * SECOND, [9.0])]
-    counted = ABOUT | {"ended": "stopped", "counters": {"frames": 3, "gaps": 1}}
-    recording = read_recording(first_edition(tmp_path / "a.rec", ABOUT, blocks, counted))
-    assert [sample.values.tolist() for sample in recording.samples] == [[1.5, 2.0], [2.5, 3.0], [9.0]]
-    assert [sample[:3] for sample in recording.samples] == [(3, None, None)] * 3
-    assert (recording.names, recording.units, recording.format) == (("x", "y"), ("uT", ""), "csv")
-    np.testing.assert_allclose(recording.arrived, 1.7e9 + np.array([1, 1, 2]), atol=1e-6)
-    assert (recording.remarks, recording.counters["gaps"]) == ((), 1)
-    known = read_recording(
-        first_edition(tmp_path / "b.rec", ABOUT, [rows(6 * SECOND, [1.0], [2.0], known=3)])
+@pytest.mark.parametrize("kept", range(1, 10))
+def test_a_recording_that_was_cut_where_a_block_ends_says_so(tmp_path, kept):
+    data = written(tmp_path / "a.rec", frames(range(9))).read_bytes()
+    (tmp_path / "a.rec").write_bytes(data[: damaged.starts(data)[kept]])
+    recording = read_recording(tmp_path / "a.rec")
+    assert len(recording.samples) == kept - 1
+    assert recording.remarks == (
+        "a.rec has no end: the recorder still runs or was killed, or the file was cut",
     )
-    assert [sample[:3] for sample in known.samples] == [(3, 0, 2**32 - 500), (3, 1, 2**32 - 500)]
-
-
-def test_its_count_tells_what_is_missing_and_a_width_of_zero_is_refused(tmp_path):
-    block = rows(6 * SECOND, [1.5, 2.0])
-    counted = ABOUT | {"ended": "stopped", "counters": {"frames": 4}}
-    recording = read_recording(first_edition(tmp_path / "a.rec", ABOUT, [block], counted))
-    assert recording.remarks == ("frames: 1 are here, a.rec.json counts 4: whole blocks are missing",)
-    # The count of another recording, and one of a recorder that was killed, say nothing.
-    for other in ({"start_host_ns": 7, **counted}, counted | {"start_host_ns": 7}, counted | {"ended": None}):
-        path = first_edition(tmp_path / "b.rec", ABOUT, [block], other)
-        assert read_recording(path).remarks == () or other.get("start_host_ns") != 7
-    message = r"width of block 1 of c\.rec must be 1 value or more; instead received 0"
-    with pytest.raises(InputError, match=message):
-        read_recording(first_edition(tmp_path / "c.rec", ABOUT, [(0, bytes(20))]))
 
 
 # ------------------------------------------------------------------------------------------------------ clocks
@@ -410,13 +396,6 @@ def board(tmp_path):
         board.unplug()
 
 
-def until(holds, longest_s: float = 5.0) -> None:
-    end = time.monotonic() + longest_s
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 def test_a_port_gives_what_a_board_sends_and_comes_back_after_it_was_lost(board):
     port = open_port(str(board.port))
     assert port.read(0.01) == b""
@@ -472,23 +451,36 @@ def test_ports_that_cannot_be_are_refused_in_words(address, baud, message):
     assert ports()
 
 
-def test_a_port_is_recorded_until_ctrl_c(board, tmp_path):
-    shown = []
+@pytest.fixture
+def opened(monkeypatch):
+    """An event that is set when a port was opened."""
+    event = threading.Event()
+    monkeypatch.setattr(module, "open_port", lambda *given: (open_port(*given), event.set())[0])
+    return event
+
+
+def samples_in(path: Path) -> int:
+    return len(read_recording(path).samples) if path.is_file() else 0
+
+
+def test_a_port_is_recorded_until_ctrl_c(board, tmp_path, opened):
+    shown, path = [], tmp_path / "a.rec"
 
     def play() -> None:
-        for frame in frames(range(120), 10_000):
+        opened.wait(5)
+        began = time.monotonic()
+        for k, frame in enumerate(frames(range(120), 10_000)):
+            time.sleep(max(0.0, began + 0.01 * k - time.monotonic()))
             board.send(frame)
-            time.sleep(0.01)
-        time.sleep(0.1)
+        until(lambda: samples_in(path) == 120)
         os.kill(os.getpid(), signal.SIGINT)
 
-    player = threading.Thread(target=play)
-    threading.Timer(0.3, player.start).start()
-    done = record(str(board.port), tmp_path / "a.rec", format="frames", show=shown.append)
+    threading.Thread(target=play).start()
+    done = record(str(board.port), path, format="frames", show=shown.append)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    recording = read_recording(tmp_path / "a.rec")
+    recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == list(range(120))
-    assert (done.samples, done.received, done.path) == (120, 120 * len(frames([0])[0]), tmp_path / "a.rec")
+    assert (done.samples, done.received, done.path) == (120, 120 * len(frames([0])[0]), path)
     assert recording.about["format"] == "frames"
     assert recording.about["port"] == str(board.port)
     assert recording.remarks == ()
@@ -496,27 +488,26 @@ def test_a_port_is_recorded_until_ctrl_c(board, tmp_path):
     assert "samples of frames" in str(shown[-1])
 
 
-def test_a_lost_port_is_waited_for_and_marked(board, tmp_path):
-    stop, shown = threading.Event(), []
+def test_a_lost_port_is_waited_for_and_marked(board, tmp_path, opened):
+    stop, path = threading.Event(), tmp_path / "a.rec"
 
     def play() -> None:
         parts = frames(range(20))
-        time.sleep(0.3)
+        opened.wait(5)
         board.send(b"".join(parts[:10]) + parts[10][:5])
-        time.sleep(0.2)
+        until(lambda: samples_in(path) == 10)
         board.unplug()
-        time.sleep(0.3)
         board.plug_in()
-        until(lambda: any(block[1] == b"O" for block in struct_heads(tmp_path / "a.rec")))
+        until(lambda: any(block[1] == b"O" for block in struct_heads(path)))
         board.send(b"".join(parts[11:]))
-        time.sleep(0.3)
+        until(lambda: samples_in(path) == 19)
         stop.set()
 
     player = threading.Thread(target=play)
     player.start()
-    done = record(str(board.port), tmp_path / "a.rec", stop=stop, show=shown.append)
+    done = record(str(board.port), path, stop=stop)
     player.join()
-    recording = read_recording(tmp_path / "a.rec")
+    recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
     assert (done.reconnects, done.samples) == (1, 19)
 

@@ -1,7 +1,6 @@
 """Samples of a robot's streams put together: which make a step, what they read, and when it was."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 
 from repro import Imu, InputError, Link, Robot, Sensor
 from repro_board.record import Writer, readings_of
-from repro_board.steps import STANDS_STILL, STILL, Steps
+from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import WRAP, Parser, Sample, encode
 
 CHIP = Robot([Link(0.1)], sensors=[Sensor(1, 0.05, 0.01, axes=3)], rate_hz=100.0)
@@ -39,17 +38,17 @@ def test_every_sample_of_magnetic_sensors_is_a_step_in_mt():
     steps = Steps(CHIP)
     assert readings(steps, [sample(0, 1, 2, 3), sample(0, 4, math.nan, -math.inf)])[0] == [1, 2, 3]
     assert repr(readings(Steps(CHIP), [sample(0, 4, math.nan, -math.inf)])) == "[[4.0, nan, nan]]"
-    named = SimpleNamespace(names=("u1", "u3", "u2"), units=("uT", "mT", "uT"))
+    named = Labels(names=("u1", "u3", "u2"), units=("uT", "mT", "uT"))
     assert readings(Steps(CHIP, source=named), [sample(0, 1000, 2, 3000)]) == [[1, 3, 2]]
 
 
 def test_labels_that_mean_no_channel_are_channels_in_their_order():
-    steps = Steps(CHIP, source=SimpleNamespace(names=("X", "Y", "Z"), units=("uT",) * 3))
+    steps = Steps(CHIP, source=Labels(names=("X", "Y", "Z"), units=("uT",) * 3))
     assert readings(steps, [sample(0, 1000, 2000, 3000)]) == [[1, 2, 3]]
     assert steps.remarks[0] == "X, Y, Z are taken for u1, u2, u3, in this order."
     by_name = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=["Bx", "By", "Bz"])])
     assert readings(Steps(by_name), [sample(0, 1, 2, 3)]) == [[1, 2, 3]]  # frames have no names
-    swapped = SimpleNamespace(names=("By", "Bx", "Bz"), units=("mT",) * 3)
+    swapped = Labels(names=("By", "Bx", "Bz"), units=("mT",) * 3)
     assert readings(Steps(by_name, source=swapped), [sample(0, 1, 2, 3)]) == [[2, 1, 3]]
 
 
@@ -63,7 +62,7 @@ def test_labels_that_mean_no_channel_are_channels_in_their_order():
 )
 def test_a_board_that_is_not_the_robots_is_refused(names, units, message):
     with pytest.raises(InputError, match=message):
-        Steps(CHIP, source=SimpleNamespace(names=names, units=units)).add(sample(0, *range(len(names))), 0.0)
+        Steps(CHIP, source=Labels(names=names, units=units)).add(sample(0, *range(len(names))), 0.0)
 
 
 @pytest.mark.parametrize("line", ["9,1,2,3", "9 1 2 3"])
@@ -318,3 +317,90 @@ def test_times_increase_whatever_the_clocks_do(calls, times):
     found = timed(Steps(CHIP, times), *((arrived, *sent) for arrived, sent in calls))
     assert (np.diff(found) > 0).all()
     assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_a_log_that_begins_in_the_middle_of_a_turn_is_the_same_as_a_table_and_from_a_port(tmp_path, first):
+    """Lines of IMUs without times: turns begin with the lowest number, wherever the log does."""
+    angles = np.linspace(0.0, 1.5, 60).reshape(20, 3)
+    lines = [
+        f"{k},{math.cos(x / 2):.6f},{math.sin(x / 2):.6f},0.000000,0.000000\r\n"
+        for row in angles
+        for k, x in enumerate(row, 1)
+    ][first:]
+    (tmp_path / "log.txt").write_text("".join(lines), newline="")
+    table = ARM.readings(tmp_path / "log.txt")
+    parser, steps = Parser(), Steps(ARM)
+    parser.feed(b"\n")
+    found = [step.u for line in lines for step in steps.feed(parser.feed(line.encode()), 0.0)]
+    np.testing.assert_array_equal(found, table)
+    np.testing.assert_allclose(table[int(first > 0) :, ::3], angles[int(first > 0) :], atol=1e-5)
+    assert np.isnan(table[0]).sum() == 3 * first
+
+
+def test_streams_that_come_in_the_other_order_begin_no_turn_early():
+    found = readings(Steps(ARM), [turned(k, 0.1 * k) for k in (3, 2, 1)] * 3)
+    np.testing.assert_allclose(found, [[0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0]] * 3, atol=1e-15)
+
+
+SKETCHES = {
+    "commas": "{},{},{}",
+    "semicolons": "{}; {}; {}",
+    "tabs": "{}\t{}\t{}",
+    "blanks": "{} {}  {}",
+    "a list": "[{}, {}, {}]",
+    "tuples": "({}, {}, {}),",
+    "bytes": "b'{},{},{}\\r\\n'",
+    "JSON": '{{"u1": {}, "u2": {}, "u3": {}}}',
+    "labels with one unit for all": "u1: {} u2: {} u3: {} uT",
+    "labels between blanks and commas": "u1: {} uT, u2={} uT u3:{}uT",
+    "a plotter": ">u1:{}§uT\n>u2:{}§uT\n>u3:{}§uT",
+}
+
+
+@pytest.mark.parametrize("form", SKETCHES.values(), ids=SKETCHES)
+def test_what_a_sketch_prints_is_the_same_in_a_file_and_from_a_port(tmp_path, form):
+    u = np.random.default_rng(0).normal(size=(9, 3)).round(3)
+    text = "".join(f"{form.format(*row)}\n" for row in u)
+    (tmp_path / "log.txt").write_text(text, encoding="utf-8")
+    table = CHIP.readings(tmp_path / "log.txt")
+    np.testing.assert_allclose(table, u * (1e-3 if "uT" in form else 1.0), rtol=1e-12)
+    parser = Parser()
+    steps = Steps(CHIP, source=parser)
+    found = [step.u for step in steps.feed(parser.feed(b"\n" + text.encode()), 0.0)]
+    np.testing.assert_array_equal(found, table[: 8 if ">" in form else 9])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "400,1.5,2",
+        "400,1.5,2.5,3.5420,1.5,2.5,3.5",
+        "400,1..5,2.5,3.5",
+        "400,\0\0\0,2.5,3.5",
+        "load: 40, len 7",
+    ],
+)
+def test_a_damaged_line_costs_itself_in_a_file_and_from_a_port(tmp_path, damage):
+    rows = [f"{20 * k},{k}.5,{k + 1}.5,{k + 2}.25" for k in range(40)]
+    text = "\n".join(["millis,u1,u2,u3", *rows[:20], damage, *rows[21:]]) + "\n"
+    (tmp_path / "log.txt").write_text(text)
+    table, parser = CHIP.readings(tmp_path / "log.txt"), Parser()
+    found = Steps(CHIP, source=parser).feed(parser.feed(b"\n" + text.encode()), 0.0)
+    assert len(found) == 39
+    np.testing.assert_array_equal([step.u for step in found], table)
+    assert any("1 of 4" in remark and "left out" in remark for remark in table.remarks)
+    assert parser.counters["malformed"] == 1
+
+
+def test_numbers_without_names_are_readings_in_their_order_in_a_file_and_from_a_port(tmp_path):
+    by_name = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=["Bx", "By", "Bz"])])
+    text = "".join(f"{k}.5,{k + 1}.5,{k + 2}.25\n" for k in range(9))
+    (tmp_path / "log.txt").write_text(text)
+    table, parser = by_name.readings(tmp_path / "log.txt"), Parser()
+    steps = Steps(by_name, source=parser)
+    found = steps.feed(parser.feed(b"\n" + text.encode()), 0.0)
+    np.testing.assert_array_equal([step.u for step in found], table)
+    words = "u1, u2, u3 are taken for Bx, By, Bz, in this order."
+    assert words in table.remarks
+    assert words in steps.remarks

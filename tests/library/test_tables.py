@@ -469,6 +469,25 @@ class TestQuaternions:
         assert np.argwhere(np.isnan(readings)).tolist() == [[5, 0], [5, 1], [5, 2]]
         np.testing.assert_allclose(readings[6], self.turns()[6], atol=1e-5)
 
+    def test_text_beside_the_streams_is_left_alone_and_a_stream_of_text_refused(self, tmp_path):
+        rows = self.table().splitlines()
+        text = "\n".join([f"{rows[0]},status", *(f"{row},OK" for row in rows[1:])]) + "\n"
+        np.testing.assert_allclose(self.arm().readings(written(tmp_path, text)), self.turns(), atol=1e-5)
+        text = (
+            "\n".join([rows[0], *(row.replace(",3,", ",a,").replace(",7,", ",b,") for row in rows[1:])])
+            + "\n"
+        )
+        with pytest.raises(InputError, match="line 2, column stream, must be a number; instead received 'a'"):
+            self.arm().readings(written(tmp_path, text))
+
+    def test_a_log_may_begin_in_the_middle_of_a_turn(self, tmp_path):
+        printed = self.table(order="wxyz").splitlines()[1:]
+        text = "\n".join(line.partition(",")[2] for line in printed[1:]) + "\n"
+        readings = self.arm().readings(written(tmp_path, text))
+        np.testing.assert_allclose(readings[1:], self.turns()[1:], atol=1e-5)
+        np.testing.assert_allclose(readings[0, 3:], self.turns()[0, 3:], atol=1e-5)
+        assert np.isnan(readings[0, :3]).all()
+
     def test_lines_as_boards_print_them(self, tmp_path):
         text = self.table(order="wxyz").splitlines()[1:]
         text = "\n".join(line.partition(",")[2] for line in text) + "\n"
@@ -492,6 +511,127 @@ class TestQuaternions:
             self.arm().readings(written(tmp_path, self.table(**changes)))
 
 
+def damaged_log(*damage: str, names: bool = True) -> str:
+    """A log of 40 lines, the last of which are damaged."""
+    rows = [f"{20 * k},{k + 1}.5,{k + 2}.25" for k in range(40 - len(damage))]
+    rows = rows if names else [row.partition(",")[2] for row in rows]
+    return "\n".join([*["millis,u1,u2"] * names, *rows[:20], *damage, *rows[20:]]) + "\n"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "400,1.5",
+        "400,1.5,2.2420,2.5,3.5",
+        "400,1..5,2.25",
+        "400,1.5,\0\0\0",
+        "Note: touched the table,,",
+        "400,-2_113.4,2.25",
+    ],
+)
+def test_a_damaged_line_of_many_is_left_out_and_counted_and_of_few_refused(tmp_path, line):
+    """As a port does."""
+    table = read_table(written(tmp_path, damaged_log(line)))
+    assert len(table.values) == 39
+    assert np.isfinite(table.values).all()
+    assert table.remarks == ("1 of 40 lines of mine.csv is damaged and left out (the first: line 22).",)
+    pair = Robot([ConstantCurvature(0.1, 0.02)], sensors=[Sensor(1, 0.1)] * 2)
+    with pytest.raises(InputError, match="of mine.csv"):
+        pair.readings(written(tmp_path, damaged_log(line, line, line)))
+
+
+def test_a_merged_line_without_names_is_damaged_not_the_others(tmp_path):
+    table = read_table(written(tmp_path, damaged_log("1.5,2.2520,3.5,4.25", names=False)))
+    assert (len(table.values), len(table.names)) == (39, 2)
+    assert table.remarks[-1] == "1 of 40 lines of mine.csv is damaged and left out (the first: line 21)."
+
+
+@pytest.mark.parametrize("cells", [["OK", "OVR", "low"], ["True", "False", "True"], ["0x00", "0x1f", "0xab"]])
+def test_a_column_without_numbers_is_refused_when_it_is_used(tmp_path, cells):
+    """Above the names there is text, too."""
+    rows = [f"{x},{y}" for x, y in zip(lines().splitlines(), ["status", *cells], strict=True)]
+    text = "\n".join(["Logger v1.2", "Serial No: 4711", *rows]) + "\n"
+    np.testing.assert_allclose(robot().readings(written(tmp_path, text)), ROWS[:, 1:])
+    frame = pd.DataFrame(ROWS, columns=HEADER).assign(status=cells)
+    np.testing.assert_allclose(robot().readings(frame), ROWS[:, 1:])
+    by_name = robot().replaced(sensors=[Sensor(1, 0.1, channels=[c]) for c in (1, 2, "status")])
+    message = rf"cell of mine.csv, line 4, column status, must be a number; instead received '{cells[0]}'"
+    with pytest.raises(InputError, match=message):
+        by_name.readings(tmp_path / "mine.csv")
+    with pytest.raises(InputError, match="column status of the table must be of numbers; instead"):
+        by_name.readings(frame)
+
+
+BELOW = {
+    "brackets": ("time,u1,u2,u3\n[s],[mT],[mT],[mT]\n", 1.0, ()),
+    "round brackets": ("time,u1,u2,u3\n(s),(mT),(mT),(mT)\n", 1.0, ()),
+    "Greek": ("time,u1,u2,u3\n[s],[µT],[μT],µT\n", 1e-3, ()),
+    "in the cells of the names": ('time_s,"u1\n(mT)","u2\n(mT)","u3\n(mT)"\n', 1.0, ()),
+    "types": (
+        "time_s,u1_mT,u2_mT,u3_mT\ndouble,float,float,float\n",
+        1.0,
+        ("1 of 5 lines of mine.csv is above the table and left out.",),
+    ),
+}
+
+
+@pytest.mark.parametrize(("head", "factor", "remarks"), BELOW.values(), ids=BELOW)
+def test_what_stands_below_the_names(tmp_path, head, factor, remarks):
+    text = head + "".join(lines().splitlines(keepends=True)[1:])
+    readings = robot().readings(written(tmp_path, text))
+    np.testing.assert_allclose(readings, factor * ROWS[:, 1:])
+    np.testing.assert_allclose(readings.times, ROWS[:, 0])
+    assert readings.remarks == remarks
+
+
+def test_a_board_that_begins_again_in_the_middle_of_a_log(tmp_path):
+    """It prints its names again. Times that go back without them are refused."""
+    rows = [f"{50 * k},1.5,2.5,{k}" for k in range(40)]
+    boot = ["ets Jul 29 2019 12:21:46", "Temp: 23.5, Hum: 41", "3,2,1"]
+    text = "\n".join(["millis,u1,u2,u3", *rows[:30], *boot, "millis,u1,u2,u3", *rows[:10]]) + "\n"
+    readings = robot().readings(written(tmp_path, text))
+    np.testing.assert_allclose(readings.times, 0.05 * np.arange(40))
+    assert readings[:, 2].tolist() == [*range(30), *range(10)]
+    again = "The board began again in line 35 of mine.csv: times go on from those before."
+    assert readings.remarks[:3] == (
+        "3 of 45 lines of mine.csv are text and left out.",
+        "1 of 41 lines of mine.csv is damaged and left out (the first: line 34).",
+        again,
+    )
+    with pytest.raises(InputError, match="did the board start again"):
+        read_table(written(tmp_path, text.replace("3,2,1\nmillis,u1,u2,u3\n", "")))
+
+
+def test_empty_rows_at_the_end_are_left_out_and_counted(tmp_path):
+    readings = robot().readings(written(tmp_path, lines() + ",,,\n" * 3))
+    assert len(readings) == 3
+    assert readings.remarks == ("3 of 7 lines of mine.csv are empty, at the end, and left out.",)
+
+
+def test_a_counter_of_16_bits_goes_on_and_a_board_that_begins_anew_does_not(tmp_path):
+    def text(ms) -> str:
+        return "time_ms,u1_mT\n" + "".join(f"{t},1.5\n" for t in ms)
+
+    counts = 65_400 + 20 * np.arange(20)
+    table = read_table(written(tmp_path, text(counts % 2**16)))
+    np.testing.assert_allclose(table.times, counts / 1e3)
+    assert table.remarks == ("Times of mine.csv start again from 0 in line 9: they are put on.",)
+    for again in (0, 700):
+        with pytest.raises(InputError, match="did the board start again"):
+            read_table(written(tmp_path, text([60_000, 60_020, 60_040, again, again + 20])))
+
+
+@pytest.mark.parametrize(
+    "cell", ["6:19:10.5 AM", "29.11.2026 06:19:10.5", "11/29/2026 06:19:10.5", "00:50.0"]
+)
+def test_a_form_of_time_that_is_not_read_says_which_are(tmp_path, cell):
+    must = r"column time, must be a time such as 14:02:11\.5 or 2024-05-03 14:02:11\.5; instead received "
+    with pytest.raises(InputError, match=must):
+        read_table(written(tmp_path, "time,u1_mT\n" + f"{cell},1.5\n" * 3))
+    text = "time,u1_mT\n6:19:10.5,1.5\n6:19:11,1.5\n2024-05-03 6:19:12,1.5\n"
+    np.testing.assert_allclose(read_table(written(tmp_path, text)).times[:2], [22750.5, 22751.0])
+
+
 REFUSED = {
     "no file": (None, "table of read_table must be a file that exists; instead received"),
     "a word": (
@@ -508,6 +648,10 @@ REFUSED = {
     ),
     "names alone": ("time_s,u1_mT\n", "file must be a line of names and lines of numbers"),
     "nothing": ("\n\n", "file must be a table; instead received nothing."),
+    "comments and the beginning of a line": (
+        "# a, bc\n# d, ef\n1,2",
+        "file must be a table; instead received nothing.",
+    ),
     "unknown names": (
         lines(header=["time_s", "Höhe_1", "Höhe_2", "Höhe_3"]),
         "columns must be one column for sensor 1: u1_mT, channel_1, or sensor 1; instead rec",

@@ -32,7 +32,7 @@ from repro.estimators.base import Estimate
 from repro.estimators.particle import BendDisc
 from repro.motion_files import Motion as MotionCapture
 from repro.motion_files import read_motion, undo_exchanges
-from repro_board.evaluate import search_lag
+from repro_board.lag import search_lag
 from repro_companion.papers.fetch import read_sources
 from repro_companion.run import digest, project_folder, recordings_folder
 from repro_companion.show import number, ratio_interval

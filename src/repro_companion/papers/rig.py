@@ -40,7 +40,7 @@ from repro.chain import place
 from repro.common import bad_input, require
 from repro.networks import load_network
 from repro.sensing import relations
-from repro_board.evaluate import search_lag
+from repro_board.lag import search_lag
 from repro_companion.papers.fetch import read_sources
 from repro_companion.run import project_folder, recordings_folder
 

@@ -1,0 +1,184 @@
+"""What a command says and writes: reports, tables of errors, pictures, and sentences about sensors."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from repro.common import Array, require, whole
+from repro.estimators.calibration import Calibration
+from repro.estimators.track import Trajectory
+
+_COVERED = 0.95
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a command did: ``str`` gives the words for its user, ``found`` the numbers."""
+
+    text: str
+    found: Any
+
+    def __str__(self) -> str:
+        """Return the words."""
+        return self.text
+
+
+def new(path: Path | str, owner: str) -> Path:
+    """Return the path of what is to be written; refuse one that is there."""
+    path = Path(path)
+    expected = "one that does not exist yet"
+    require(not (path.exists() or path.is_symlink()), "output", owner, expected, path.name)
+    require(path.parent.is_dir(), "output", owner, "in a folder that exists", path)
+    return path
+
+
+def written(path: Path, text: str, owner: str) -> str:
+    """Write a text, whole or not at all, and say so."""
+    with whole(path, owner) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+    return f"Written: {path.name}"
+
+
+def csv(frame: Any) -> str:
+    """Return a table as text; times keep their microseconds however large they are."""
+    frame = frame.assign(time_s=frame["time_s"].map("{:.6f}".format)) if "time_s" in frame else frame
+    return frame.to_csv(index=False, lineterminator="\n", float_format="%.7g")
+
+
+def some(words: Sequence[Any], most: int = 5) -> str:
+    """Return the first of some words, and how many more there are."""
+    rest = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(map(str, words[:most])) + rest
+
+
+def suspicions(shape: Trajectory) -> list[str]:
+    """Say in sentences which sensors do not fit the others, and what else the monitor found."""
+    if shape.status is None or shape.suspects is None:
+        return ["Nothing watches this estimator: a sensor that fails is not noticed."]
+    n, counts = len(shape.times), Counter(shape.status.tolist())
+    words = {
+        "inconsistent": "the readings do not fit together, and no single sensor explains it "
+        "(unit, order or sign of the columns wrong, or not calibrated?)",
+        "frozen": "the board repeats itself: all readings are old",
+        "undetermined": "there are fewer readings than unknowns",
+        "beyond bounds": "the readings fit only beyond the bounds of the robot file; the shape stays within",
+        "unchecked": "the fit uses up all readings: a wrong one would look like another shape",
+    }
+    lines = [f"In {counts[name]} of {n} rows {text}." for name, text in words.items() if counts[name]]
+    names = shape.robot.part_names if shape.robot is not None else range(1, 1 + shape.suspects.shape[1])
+    for name, rows in zip(names, shape.suspects.T, strict=True):
+        if rows.any():
+            first, last = shape.times[rows][[0, -1]]
+            when = f"{rows.sum()} of {n} rows, from {first:.3f} to {last:.3f} s"
+            lines.append(f"Suspected: {name} does not fit the other sensors in {when}.")
+    lines += [
+        f"{name} is at a bound of the robot in {rows} of {n} rows."
+        for name, rows in shape.at_bounds().items()
+    ]
+    return lines or ["All rows are consistent, and no sensor is suspected."]
+
+
+def tip_known(shape: Trajectory, frame: Any) -> str:
+    """Say how well the tip is known; nothing where no covariance is stated."""
+    if shape.covariance is None:
+        return ""
+    tip = np.sqrt(np.square(frame[[f"tip_{axis}_sd_mm" for axis in "xyz"]].to_numpy()).sum(1))
+    middle, worst = float(np.median(tip)), float(tip.max())
+    known_to = f"known to ±{middle:.2g} mm in most rows" if middle < 1e3 else "not known in most rows"
+    return f"tip: {known_to}" + (f", ±{worst:.2g} mm in the worst" if middle < 1e3 and worst < 1e3 else "")
+
+
+def calibration_report(found: Calibration, q: Array, u: Array) -> str:
+    """Say what poses have determined, and what they leave of the readings."""
+    n = sum(sensor.axes for sensor in found.robot.sensors)
+    before, after = (
+        np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in (found.described, found.robot)
+    )
+    kept = [
+        name
+        for name, now, prior in zip(found.names, found.deviation, found.tolerances, strict=True)
+        if now > 0.9 * prior
+    ]
+    undetermined = f"{len(kept)} parameters stay as uncertain as before: {some(kept)}." if kept else ""
+    lines = [
+        repr(found),
+        f"Residual of the readings: {before:.3g} mT as described, {after:.3g} mT calibrated.",
+        undetermined or "The poses determine every parameter better than its tolerance.",
+    ]
+    return "\n".join(lines)
+
+
+def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajectory]) -> Any:
+    """Return errors by estimate and quantity, and how often 95 % regions hold the measured pose, itself uncertain.
+
+    ``grown`` is how many times larger every ± must be stated for them to hold it in 95 % of the rows.
+    """
+    import pandas as pd
+
+    rows, robot, units = [], measured.robot, measured.units()
+    for name, shape in shapes.items():
+        use = np.isfinite(measured.q).all(1) & np.isfinite(shape.q).all(1)
+        e = robot.free_angles.difference(shape.q[use], measured.q[use])
+        tip, G = robot.tip_slopes(shape.q[use])
+        away = tip - robot.tip_slopes(measured.q[use])[0]
+        C = None if shape.covariance is None else (shape.covariance[use] + sigma)
+        parts = [("tip", "mm", 1e3 * away, 1e3 * G)]
+        for c in np.flatnonzero(~robot.fixed):
+            quantity, unit, factor = units[c]
+            parts.append((quantity, unit, factor * e[:, [c]], factor * np.eye(robot.n_q)[[c]]))
+        for quantity, unit, error, slopes in parts:
+            dof = min(error.shape[1], (~robot.fixed).sum())
+            found = _sizes(error) | _coverage(
+                error, None if C is None else slopes @ C @ np.swapaxes(slopes, -1, -2), dof
+            )
+            rows.append({"estimate": name, "quantity": quantity, "unit": unit, **found, "rows": len(error)})
+    return pd.DataFrame(rows)
+
+
+def _sizes(error: Array) -> dict[str, float]:
+    size = np.linalg.norm(error, axis=1)
+    found = {"mean": size.mean(), "rmse": np.sqrt(np.square(size).mean()), "largest": size.max()}
+    return found | {"p95": np.quantile(size, 0.95)}
+
+
+def _coverage(error: Array, covariance: Array | None, dof: int) -> dict[str, float]:
+    """Return in how many rows [%] a region holds errors ``[t, k]``, and how many times it must be larger."""
+    if covariance is None:
+        return {"coverage": math.nan, "grown": math.nan}
+    score = np.einsum("ti,tij,tj->t", error, np.linalg.pinv(covariance, rcond=1e-9, hermitian=True), error)
+    limit = chi_square.ppf(_COVERED, dof)
+    grown = math.sqrt(np.quantile(score, _COVERED) / limit)
+    return {"coverage": 100 * float((score <= limit).mean()), "grown": grown}
+
+
+def picture(frames: Mapping[str, Any], units: Sequence[tuple[str, str, float]]) -> bytes:
+    """Draw measured and estimated coordinates, and the error of the tip, over time."""
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    with style.context("default", after_reset=True):  # whatever the user has set
+        figure = Figure(figsize=(8.0, 1.6 * len(units) + 2.6), layout="constrained")
+        axes, tip = figure.subplots(len(units) + 1, 1, sharex=True), [f"tip_{axis}_mm" for axis in "xyz"]
+        for k, (name, frame) in enumerate(frames.items()):
+            look = {"lw": 1.0 if k else 3.0, "color": f"C{k - 1}" if k else "0.7", "label": name}
+            look["ls"] = ":" if name.startswith("as described") else "-"
+            for ax, (quantity, unit, _) in zip(axes, units, strict=False):
+                ax.set_ylabel(f"{quantity}\n[{unit}]")
+                if k == 0 or name.startswith("calibrated"):
+                    ax.plot(frame["time_s"], frame[f"{quantity}_{unit}" if unit else quantity], **look)
+            away = np.linalg.norm(frame[tip].to_numpy() - frames["measured"][tip].to_numpy(), axis=1)
+            axes[-1].semilogy(frame["time_s"], np.where(away > 0, away, np.nan), **look)
+        axes[-1].set(xlabel="time of the readings [s]", ylabel="error of the tip\n[mm]")
+        figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        picture = io.BytesIO()
+        figure.savefig(picture, dpi=150, metadata={"Software": None})
+    return picture.getvalue()
