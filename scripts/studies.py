@@ -89,19 +89,32 @@ def particle_filter() -> pd.DataFrame:
 
 def bend_tests() -> pd.DataFrame:
     """Return errors [deg] on the authors' bend tests, from the page bend_tests as built with these recordings."""
-    page = project_folder() / "results" / "with_recordings" / "bend_tests_errors.csv"
-    table = pd.read_csv(page).round(2)
-    table.attrs = {"page": "notebooks/bend_tests.ipynb", "takes": sorted(set(table["take"]))}
+    table = of_bend_tests("bend_tests_errors").round(2)
+    table.attrs["takes"] = sorted(set(table["take"]))
     return table
+
+
+def bend_tests_takes() -> pd.DataFrame:
+    """Return what was counted in each of the authors' bend tests, and its lag, from the page built with these."""
+    return of_bend_tests("bend_tests_takes").round(3)
+
+
+def nominal_bends() -> pd.DataFrame:
+    """Return errors [deg] and gains of the authors' files at nominal bends, from the page built with these."""
+    return of_bend_tests("nominal_bends").round(3)
 
 
 def light_bulb() -> pd.DataFrame:
     """Return how many events each setting finds in the authors' light-bulb files, from the page built with these."""
-    table = pd.read_csv(project_folder() / "results" / "with_recordings" / "light_bulb_counts.csv")
-    table.attrs = {
-        "page": "notebooks/bend_tests.ipynb",
-        "files": [name for name in table if name[:6] == "light_"],
-    }
+    table = of_bend_tests("light_bulb_counts")
+    table.attrs["files"] = [name for name in table if name[:6] == "light_"]
+    return table
+
+
+def of_bend_tests(name: str) -> pd.DataFrame:
+    """Return a table of the page bend_tests as built with the authors' recordings."""
+    table = pd.read_csv(project_folder() / "results" / "with_recordings" / f"{name}.csv")
+    table.attrs = {"page": "notebooks/bend_tests.ipynb"}
     return table
 
 
@@ -407,6 +420,8 @@ STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
         table_1_noise,
         particle_filter,
         bend_tests,
+        bend_tests_takes,
+        nominal_bends,
         light_bulb,
         martin_files,
         martin_calibration,

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
 from repro_companion.run import InputError, Parameter, Point, RunFailed
-from repro_companion.show import WITH_FILES, rendered
+from repro_companion.show import rendered
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -186,15 +186,20 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
     record = tool.read_record(place)
-    outputs = [output for cell in executed["cells"] for output in cell.get("outputs", [])]
-    with_files = any(WITH_FILES in output.get("metadata", {}) for output in outputs)
     cells, first = [], []
     for cell in executed["cells"]:
         about = dict(cell["metadata"])
-        if with_files and WITH_FILES in about:
-            about["mystnb"] = about[WITH_FILES]
         tags = set(about.get("tags", []))
         cell = {**cell, "metadata": about}
+        # A figure that depends on what there is to show brings its own caption.
+        captions = [
+            out["metadata"]["caption"]
+            for out in cell.get("outputs", [])
+            if out.get("metadata", {}).get("caption")
+        ]
+        if captions:
+            look = about["mystnb"]
+            about["mystnb"] = {**look, "figure": {**look["figure"], "caption": captions[0]}}
         if "first" in tags and cell.get("outputs"):
             shown = {"tags": ["remove-input"], "mystnb": about.pop("mystnb", {})}
             first.append({**cell, "id": f"{cell['id']}-first", "source": "# moved", "metadata": shown})

@@ -749,54 +749,62 @@ def bend_tests(table: pd.DataFrame) -> Figure:
 
 @style()
 def bend_errors(errors: pd.DataFrame) -> Figure:
-    """Draw the error of every take by the size of the bend, and the median of every method."""
-    columns = {
-        "rmse_below_20_deg": "below 20°",
-        "rmse_20_to_40_deg": "20° to 40°",
-        "rmse_above_40_deg": "above 40°",
-    }
-    figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
-    colours = (PINK, ORANGE, YELLOW, SKY, "#767676", BLUE, GREEN)
-    for k, (name, own) in enumerate(errors.groupby("name", sort=False)):
-        colour, marker = colours[k], "osDvPX^"[k]
-        for j, column in enumerate(columns):
-            x = j + 0.12 * (k - 3)
-            panel.plot(np.full(len(own), x), own[column], marker, color=colour, ms=4, alpha=0.6, mew=0)
-            panel.plot(x, own[column].median(), "_", color=colour, ms=11, mew=2.5)
-        panel.plot([], [], marker, color=colour, ms=6, mew=0, label=name)
-    panel.set(xlabel="bend by motion capture", ylabel="RMSE of the bend [°]", ylim=(0, None))
-    panel.set_xticks(range(3), list(columns.values()))
-    panel.grid(visible=False, axis="x")
+    """Draw the errors of bend and direction by take, a mark for each method."""
+    takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.6), sharex=True, height_ratios=[1.4, 1])
+    colours = (PINK, ORANGE, YELLOW, SKY, BLUE, GREEN, "#767676")
+    for k, (name, colour, marker) in enumerate(zip(names, colours, "osDvX^P", strict=False)):
+        own = errors[errors["name"] == name].set_index("take").reindex(takes)
+        x = np.arange(len(takes)) + 0.12 * (k - (len(names) - 1) / 2)
+        look = {"color": colour, "ls": "", "marker": marker, "ms": 5, "mew": 0}
+        panels[0].plot(x, own["rmse_deg"], label=name, **look)
+        panels[1].plot(x, own["direction_deg"], **look)
+    panels[0].set(ylabel="bend: RMSE [°]", ylim=(0, None))
+    panels[1].set(ylabel="direction: RMSE [°]", ylim=(0, None), xlabel="test and try")
+    panels[1].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
+    for panel in panels:
+        panel.grid(visible=False, axis="x")
+        for edge in range(1, len(takes)):
+            panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
     figure.legend(loc="outside upper center", ncols=2, **BESIDE)
     return closed(figure)
 
 
 @style()
 def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> Figure:
-    """Draw Fig. 8: bend by the paper's filter, and the ratio of the fields with its events, a column for a file."""
+    """Draw Fig. 8: angle and direction of the bend by the paper's filter, and below the ratio that tells events."""
     files = list(curves["file"].unique())
     figure, panels = plt.subplots(
-        2, len(files), figsize=(WIDTH, 4.0), sharex="col", sharey="row", squeeze=False
+        3,
+        len(files),
+        figsize=(WIDTH, 5.4),
+        sharex="col",
+        sharey="row",
+        squeeze=False,
+        height_ratios=[3, 3, 2],
     )
-    for (above, below), file in zip(panels.T, files, strict=True):
-        own, found = curves[curves["file"] == file], events[events["file"] == file]
-        above.plot(own["time_s"], own["bend_deg"], color=ORANGE, lw=1)
-        below.plot(own["time_s"], own["ratio"], color=BLUE, lw=1)
-        below.plot(own["time_s"], own["baseline"] + threshold, color="#767676", lw=1, ls="--")
-        for start, end in found[["start_s", "end_s"]].to_numpy():
-            above.axvspan(start, end, color=YELLOW, alpha=0.25, lw=0)
-            below.axvspan(start, end, color=YELLOW, alpha=0.25, lw=0)
-        above.set(title=file.replace("light_", "file "), ylim=(0, 95), yticks=(0, 30, 60, 90))
-        below.set_xlabel("time [s]")
-        below.xaxis.set_major_locator(MultipleLocator(10 if len(files) < 3 else 20))
-    panels[0, 0].set_ylabel("bend [°]")
-    panels[1, 0].set_ylabel("across over along")
+    for column, file in zip(panels.T, files, strict=True):
+        own = curves[curves["file"] == file]
+        column[0].plot(own["time_s"], own["bend_deg"], color=ORANGE, lw=1)
+        column[1].plot(own["time_s"], own["direction_deg"], ".", color=ORANGE, ms=1.5)
+        column[2].plot(own["time_s"], own["ratio"], color=BLUE, lw=1)
+        column[2].plot(own["time_s"], own["baseline"] + threshold, color="#767676", lw=1, ls="--")
+        for start, end in events.loc[events["file"] == file, ["start_s", "end_s"]].to_numpy():
+            for panel in column:
+                panel.axvspan(start, end, color=YELLOW, alpha=0.25, lw=0)
+        column[0].set(title=file.replace("light_", "file "), ylim=(0, 95), yticks=(0, 30, 60, 90))
+        column[1].set(ylim=(-190, 190), yticks=(-180, -90, 0, 90, 180))
+        column[2].set_xlabel("time [s]")
+        column[2].xaxis.set_major_locator(MultipleLocator(20))
+    for panel, words in zip(panels[:, 0], ("bend angle [°]", "bend direction [°]", "ratio"), strict=True):
+        panel.set_ylabel(words)
     lines = [
         Line2D([], [], color=ORANGE, label="paper's filter"),
         Line2D([], [], color=BLUE, label="ratio of the fields"),
         Line2D([], [], color="#767676", ls="--", label="threshold"),
         Line2D([], [], color=YELLOW, lw=6, alpha=0.4, label="event"),
     ]
+    figure.align_ylabels(panels)
     figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
     return closed(figure)
 

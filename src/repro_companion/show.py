@@ -132,12 +132,8 @@ def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: in
     return styler.format(lambda value: number(value, digits), escape="html")
 
 
-def say(text: str, *, with_files: bool = False) -> None:
-    """Show a sentence, as Markdown; one with the authors' files gives its page the captions for them."""
+def say(text: str) -> None:
+    """Show a sentence, as Markdown."""
     from IPython.display import Markdown, display
 
-    display(Markdown(text), metadata={WITH_FILES: True} if with_files else None)
-
-
-WITH_FILES = "with_files"
-"""Metadata of an output about the authors' files, and of a cell: its figure's words where there is such an output."""
+    display(Markdown(text))

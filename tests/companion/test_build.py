@@ -183,6 +183,9 @@ def test_what_a_page_shows(root):
     output = root / "book/notebooks/a.ipynb"
     run.run(page, {}, output, root / "results", root=root)
     executed = json.loads(output.read_text())
+    (shown,) = (cell for cell in executed["cells"] if "first" in cell["metadata"].get("tags", []))
+    shown["metadata"]["mystnb"] = {"figure": {"name": "fig-a", "caption": "what could be"}}
+    shown["outputs"][0]["metadata"] = {"caption": "what is"}
     before = json.dumps(executed)
     cells = tool.page_of(executed, root, "a")["cells"]
     assert json.dumps(executed) == before
@@ -190,6 +193,7 @@ def test_what_a_page_shows(root):
     assert title["source"][0].startswith("# Sample")
     assert first["outputs"][0]["text"] == ["what comes first\n"]
     assert first["metadata"]["tags"] == ["remove-input"]
+    assert first["metadata"]["mystnb"]["figure"] == {"name": "fig-a", "caption": "what is"}
     assert all(not cell.get("outputs") for cell in body)
     hidden = ["remove-cell" in cell["metadata"].get("tags", []) for cell in body]
     assert hidden == [True, True, False, False]

@@ -235,7 +235,7 @@ def test_an_unmeasured_place_is_no_recording(folder, offset_capture):
     path = trial_files.write_capture(offset_capture)
     path.rename(path.with_suffix(".aside"))
     assert martin_capture.recording() is None
-    assert "Missing: the raw quaternions, the motion capture. Not the" in martin_files.files_in_words()
+    assert "missing: the raw quaternions, the motion capture. Not the" in martin_files.files_in_words()
     path.with_suffix(".aside").rename(path)
 
 

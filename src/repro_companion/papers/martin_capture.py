@@ -383,10 +383,26 @@ def hull(found: Recording) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-ABOUT_THE_ARM = "We take the orientations of the authors' trial, and its two recorded markers."
+CAPTIONS = {
+    "links": "Both models of Fig. 2 on the authors' trial, seen from the side, at the moment when their ends are"
+    " farthest apart. Coloured lines: links with their joints. Black: the PCC-extended model, moved so"
+    " that it passes through both recorded markers. Dotted lines: from the end of each link to its place"
+    " on it.",
+    "boxes": "Paper Figs 3, 4 and 5, regenerated from the authors' tables and motion capture. Boxes run from the"
+    " first to the third quartile Q3, whiskers from 5 to 95 % (in the paper they are 1.5 times the box)."
+    " Diamonds and triangles are published values. For Fig. 4 the paper prints two third quartiles, which"
+    " we assign to M1; we read those of Figs 3 and 5 off the figures, to about 1.5 mm.",
+    "hull": "Paper Fig. 6, regenerated from the authors' files and seen from the side (the paper draws one pose"
+    " in 3-D). Low, middle, high: the height of M2 is its 5, 50 or 95 % quantile. The radius of the hull"
+    " is the third quartile of the error of the chain of pcc2.csv, known at the base and both markers and"
+    " straight in between. Orange: the PCC-extended model of the text. Black: the same, moved so that it"
+    " passes through both recorded markers.",
+}
+"""Of the page's figures with the authors' files."""
+ABOUT_THE_ARM = "We take orientations and two recorded markers of the authors' trial."
 BELOW_TABLE_II = (
-    "Lower: the authors' tables against their motion capture. The rigid-body column is the chain with 8 segments, 40"
-    " mm before the markers, as in the authors' files."
+    "Lower: the tables of the models against the motion capture. The rigid-body column is the chain with 8 segments,"
+    " 40 mm before the markers, as in the authors' files."
 )
 
 
@@ -414,25 +430,43 @@ def both_ways_in_words(found: Recording, both: pd.DataFrame) -> str:
 
 
 EVALUATED = """
-We compare {{ rows }} rows as the authors' notebook does (its cells 5 to 34). {{ lost }} of {{ captured }} rows of the
-motion capture lack a marker or the base, and we left these out. **A check.** The notebook prints two numbers without
-rounding, the third quartiles of the chain with 8 segments: {{ printed }} mm at M1 and M2. Ours are {{ ours }} mm.
+**A check.** {{ checked }} Ours are {{ ours }} mm, and the printed ones {{ printed }} mm.
 {% if agree %}
 They agree to 0.001 mm, so we evaluate as the authors did.
 {% else %}
-They do not agree, so this is another motion capture, or we do not evaluate as the authors did.
+**They do not agree**: this is another motion capture, or our evaluation is not theirs.
 {% endif %}
-A pair of rows is not always equally far apart in time: by the clock of `rigid.csv` {{ apart | fixed(2) }} s lie
-between the earliest and the latest pair.
+We compare {{ rows }} rows as the notebook does (its cells 5 to 34): from row 1,000 to row 8,000 or to the end of the
+motion capture.
+{% if lost %}
+{{ lost }} of {{ captured }} rows of the motion capture lack a marker or the base, and we left these out.
+{% endif %}
+Pairs of rows are not equally far apart in time: by the clock of `rigid.csv` earliest and latest pair differ by
+{{ apart | fixed(2) }} s.
 """
+
+
+def badge() -> str:
+    """Return in a word what the page is about."""
+    other = martin_files.unlike_released()
+    return (
+        f"{len(other)} files are not the released ones" if other else "the authors' tables and motion capture"
+    )
 
 
 def evaluated_in_words(found: Recording) -> str:
     """Return what the authors' evaluation came to here, with the check against their notebook."""
     check, rows = own_check(found), len(authors_errors(found)[Case("Fig. 4", "pcc", 8, 16)])
-    counts = {"rows": rows, "lost": found.capture.lost, "captured": len(found.capture.points)}
     ours, printed = (" and ".join(f"{x:.3f}" for x in check[c]) for c in ("ours_mm", "printed_mm"))
     later = CAPTURE_LATER - ROWS_OF_PCC_2 + martin_files.LATER
     apart = np.ptp(found.clock_s[later:] - found.clock_s[:-later])
-    values = {name: f"{count:,}" for name, count in counts.items()} | {"ours": ours, "printed": printed}
-    return sentences(EVALUATED, agree=check["agree"].all(), apart=apart, **values)
+    lost = f"{found.capture.lost:,}" if found.capture.lost else ""
+    counts = {"rows": f"{rows:,}", "lost": lost, "captured": f"{len(found.capture.points):,}"}
+    said = {"checked": CHECKED, "agree": check["agree"].all(), "ours": ours, "printed": printed}
+    return sentences(EVALUATED, apart=apart, **counts, **said)
+
+
+CHECKED = (
+    "The authors' notebook prints two errors without rounding, the third quartiles of `pcc1.csv` at M1 and M2. They"
+    " are the 17.7 and 16.25 % of the rigid-body model in Table II."
+)

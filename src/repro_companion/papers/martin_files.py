@@ -70,7 +70,7 @@ def unlike_released() -> list[str]:
 
 FILES_HERE = """
 {% if missing %}
-Of the files some are here. Missing: {{ missing | join(", ") }}.
+Of the authors' files these are missing: {{ missing | join(", ") }}.
 {% else %}
 All files are here.
 {% endif %}
@@ -84,17 +84,24 @@ Their hashes are the published ones.
 
 def files_in_words() -> str:
     """Return which listed files are here, which are missing, and which are not the released ones."""
-    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
     missing, special = absent(), {CAPTURE: "the motion capture", QUATERNIONS: "the raw quaternions"}
-    if len(missing) == len(released_chains()) + 2:
+    tables = len(released_chains())
+    if len(missing) == tables + 2:
+        listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
         megabytes = 1e-6 * sum(source.size or 0 for source in listed)
-        return f"They are {len(listed)} files: {megabytes:.0f} MB, and two files whose sizes are not listed."
+        return (
+            f"They are {tables} tables of the models ({megabytes:.0f} MB), the motion capture and the raw quaternions"
+            " (sizes not listed)."
+        )
     own, unlike = (
         {name: f"`{name.rpartition('/')[2]}`" for name in names} for names in (missing, unlike_released())
     )
     return sentences(
         FILES_HERE, missing=[special.get(name, own[name]) for name in own], unlike=unlike.values()
     )
+
+
+FETCH = "```bash\n.venv/bin/repro fetch martin2022\nmake page P=imu_markers\n```"
 
 
 def clock_s(times: pd.Series, owner: str) -> np.ndarray:
@@ -359,7 +366,7 @@ def tables_in_words(files: pd.DataFrame) -> str:
     if recorded:
         return (
             f"**On the authors' files.** {within.sum()} of {len(files)} tables follow to a micrometre in every point"
-            f" of every row. {files_in_words()} We left out {files['half_turns'].max()} rows in which the base and"
+            f" of every row. We left out {files['half_turns'].max()} rows in which the base and"
             " IMU 1 are half a turn apart."
         )
     return (
