@@ -429,18 +429,6 @@ def both_ways_in_words(found: Recording, both: pd.DataFrame) -> str:
     )
 
 
-def badge() -> str:
-    """Return in a word what the page is about."""
-    other = martin_files.unlike_released()
-    return (
-        f"{len(other)} files are not the released ones" if other else "the authors' tables and motion capture"
-    )
-
-
-CHECKED = (
-    "The authors' notebook prints two errors without rounding, the third quartiles of `pcc1.csv` at M1 and M2. They"
-    " are the 17.7 and 16.25 % of the rigid-body model in Table II."
-)
 EVALUATED = """
 **A check.** {{ checked }} Ours are {{ ours }} mm, and the printed ones {{ printed }} mm.
 {% if agree %}
@@ -450,7 +438,7 @@ They agree to 0.001 mm, so we evaluate as the authors did.
 {% endif %}
 We compare {{ rows }} rows as the notebook does (its cells 5 to 34): from row 1,000 to row 8,000 or to the end of the
 motion capture.
-{% if lost != "0" %}
+{% if lost %}
 {{ lost }} of {{ captured }} rows of the motion capture lack a marker or the base, and we left these out.
 {% endif %}
 Pairs of rows are not equally far apart in time: by the clock of `rigid.csv` earliest and latest pair differ by
@@ -458,12 +446,27 @@ Pairs of rows are not equally far apart in time: by the clock of `rigid.csv` ear
 """
 
 
+def badge() -> str:
+    """Return in a word what the page is about."""
+    other = martin_files.unlike_released()
+    return (
+        f"{len(other)} files are not the released ones" if other else "the authors' tables and motion capture"
+    )
+
+
 def evaluated_in_words(found: Recording) -> str:
     """Return what the authors' evaluation came to here, with the check against their notebook."""
     check, rows = own_check(found), len(authors_errors(found)[Case("Fig. 4", "pcc", 8, 16)])
-    counts = {"rows": rows, "lost": found.capture.lost, "captured": len(found.capture.points)}
     ours, printed = (" and ".join(f"{x:.3f}" for x in check[c]) for c in ("ours_mm", "printed_mm"))
     later = CAPTURE_LATER - ROWS_OF_PCC_2 + martin_files.LATER
     apart = np.ptp(found.clock_s[later:] - found.clock_s[:-later])
-    values = {name: f"{count:,}" for name, count in counts.items()} | {"ours": ours, "printed": printed}
-    return sentences(EVALUATED, checked=CHECKED, agree=check["agree"].all(), apart=apart, **values)
+    lost = f"{found.capture.lost:,}" if found.capture.lost else ""
+    counts = {"rows": f"{rows:,}", "lost": lost, "captured": f"{len(found.capture.points):,}"}
+    said = {"checked": CHECKED, "agree": check["agree"].all(), "ours": ours, "printed": printed}
+    return sentences(EVALUATED, apart=apart, **counts, **said)
+
+
+CHECKED = (
+    "The authors' notebook prints two errors without rounding, the third quartiles of `pcc1.csv` at M1 and M2. They"
+    " are the 17.7 and 16.25 % of the rigid-body model in Table II."
+)
