@@ -335,7 +335,8 @@ class _Poses(NamedTuple):
     def trial(self, z: Array) -> Trial:
         """Return what a robot with these parameters leaves of the readings."""
         r, J, root = self.whitened(z)
-        return Trial(r @ r, lambda: (r @ r, J.T @ J, J.T @ r), (r, J, root))
+        cost = float(r @ r)
+        return Trial(cost, lambda: (cost, J.T @ J, J.T @ r), (r, J, root))
 
 
 def _judge(

@@ -142,17 +142,21 @@ class GradientDescent:
         n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
         chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
         chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
-        values = {
-            "q": q, "covariance": None, "u_hat": u_hat, "chi2": chi2, "dof": np.maximum(n_used - free.sum(1), 0),
-            "missing": s - n_used,
-        }  # fmt: skip
+
+        def shaped(x: Array) -> Array:
+            return x.reshape((*batch, *x.shape[1:]))[()]
+
         details = {"loss": status[:, 0], "best_iteration": status[:, 1], "left_out": there & lost[:, None]}
-        values, details = (
-            {name: None if x is None else x.reshape((*batch, *x.shape[1:]))[()] for name, x in one.items()}
-            for one in (values | {"q": np.where(lost[:, None], np.nan, q)}, details)
+        estimate = Estimate(
+            shaped(np.where(lost[:, None], np.nan, q)),
+            None,
+            shaped(u_hat),
+            shaped(chi2),
+            shaped(np.maximum(n_used - free.sum(1), 0)),
+            shaped(s - n_used),
+            {name: shaped(x) for name, x in details.items()},
         )
-        state = DescentState(q.reshape(*batch, n), later.reshape(*batch, n))
-        return state, Estimate(**values, details=details)
+        return DescentState(shaped(q), shaped(later)), estimate
 
     def _descended_or_left(
         self, before: Array, b: Array, rows: Array, moves: Array
