@@ -1,15 +1,16 @@
 """The rig of Table 2: stored recordings, closed forms, files, alignment, filters, published cells."""
 
+import json
 from dataclasses import replace
+from hashlib import sha256
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
-from repro import GradientDescent, InputError, KalmanFilter, Sensing, track
+from repro import GradientDescent, InputError, Sensing, track
 from repro.chain import place
 from repro_companion.papers import rig
 from repro_companion.show import published
@@ -18,6 +19,17 @@ from .sample import STORED
 
 LOUD = SimpleNamespace(**(vars(rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
 """Fifteen times the noise."""
+FIRST = SimpleNamespace(
+    **vars(rig.RIG)
+    | {
+        "places": {},
+        "sensitivity": ((-1665.0, -1358.0, 4515.0), (-2461.0, 875.0, 4264.0), (-4111.0, -677.0, 2764.0)),
+        "rest": (1032.0, 915.4, 1159.5),
+        "curvature": ((-2.18, -0.55, -0.66), (-0.69, -0.09, 0.5), (-1.04, -0.23, 0.19)),
+        "ripple": (4.0, 0.95, 2.8),
+    }
+)
+"""The rig of the first edition, whose recordings had one place and other sensors."""
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +37,8 @@ def t1():
     return rig.simulated("T1")
 
 
-def test_simulated_recordings_are_those_of_the_first_edition(t1):
+def test_simulated_recordings_are_those_of_the_first_edition():
+    t1 = rig.simulated("T1", FIRST)
     assert len(t1) == 3460
     np.testing.assert_array_equal(t1.u[::20], STORED["rig_u"])
     # The first edition had the place of the markers in single precision, so a last digit of a file may differ.
@@ -48,6 +61,33 @@ def test_the_pose_of_the_ring_gives_the_configuration():
     ring = np.column_stack([rig._capture_axes(xyzw[:, :3]), xyzw[:, 3], rig._capture_axes(T[:, :3, 3])])
     base = np.array([0, 0, 0, 1, *rig._capture_axes(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]])
     np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "law"), q, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", rig.TRAJECTORIES)
+def test_a_motion_is_taken_to_the_place_of_its_recording(name):
+    """Means and deviations are those read off the networks, and elongation rises with bend as it does there."""
+    place, bend = rig.PLACES[name], np.random.default_rng(0).normal([1, 2], [3, 4], (500, 2))
+    matrix, shift = rig.placement(place, bend)
+    at = bend @ matrix.T + shift
+    x, y = ((bend - bend.mean(0)) / bend.std(0)).T
+    np.testing.assert_allclose(at[:, 0], place.centre[0] - place.spread_x * x)
+    np.testing.assert_allclose(at[:, 1], place.centre[1] - place.spread_y[0] * x + place.spread_y[1] * y)
+    running = np.arange(500) > 100
+    elongation = rig.elongations(place, at, running)
+    np.testing.assert_allclose(np.polyfit((at**2).sum(1), elongation, 1)[0], place.rise)
+    assert elongation[running].mean() == pytest.approx(place.elongation)
+
+
+def test_a_simulated_recording_stands_at_its_place(t1):
+    """Its elongation rises with bend as read off the networks, and sensors do not feel that."""
+    place, q = rig.PLACES["T1"], 1e3 * t1.q
+    np.testing.assert_allclose(q.mean(axis=0), [*place.centre, place.elongation], atol=0.05)
+    assert q[:, 0].std() == pytest.approx(place.spread_x, abs=0.05)
+    assert np.polyfit((q[:, :2] ** 2).sum(axis=1), q[:, 2], 1)[0] == pytest.approx(place.rise, abs=1e-3)
+    level = SimpleNamespace(**vars(rig.RIG) | {"places": {"T1": place._replace(elongation=5.5, rise=0.0)}})
+    longer = rig.simulated("T1", level)
+    np.testing.assert_array_equal(longer.u, t1.u)
+    assert 1e3 * longer.q[:, 2].mean() == pytest.approx(5.5, abs=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +132,50 @@ def test_files_in_the_authors_formats_give_the_recording(files, t1):
     found = rig.aligned(rig.configurations(rig.read_capture(capture), "T1"), rig.read_readings(sensors), "T1")
     np.testing.assert_array_equal(found.u, t1.u)
     np.testing.assert_array_equal(found.q, t1.q)
+
+
+@pytest.fixture
+def released(files, tmp_path, monkeypatch):
+    """Recordings of our own in the released form: twelve files, whose hashes are on the list."""
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    monkeypatch.setattr(rig, "project_folder", lambda: tmp_path)
+    listed = []
+    for whole in rig.NAMES.values():
+        for path, of_t1 in zip(rig._raw(tmp_path / rig.FOLDER, whole), files, strict=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(of_t1.read_bytes())
+            own = {
+                "path": str(path.relative_to(tmp_path / "baaij2023")),
+                "sha256": sha256(path.read_bytes()).hexdigest(),
+            }
+            listed.append(own)
+    about = {"repository": "https://github.com/o/n", "commit": "a1" * 20, "files": listed}
+    about["readers"] = [{"files": "", "page": "table_2", "use": "all"}]
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "sources.json").write_text(json.dumps({"baaij2023": about}), encoding="utf-8")
+    return tmp_path / rig.FOLDER
+
+
+def test_with_recordings_in_the_released_form_all_rows_are_comparable(released, t1):
+    data = rig.load("recorded")
+    assert data.source == "recorded"
+    np.testing.assert_array_equal(data.tests["T4"].u, t1.u)
+    q, u = data.beginnings(15.0)
+    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 1.0, 15.0)
+    none = pd.DataFrame(columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"]).astype(
+        {"chaotic": bool}
+    )
+    lines = rig.scorecard_rows(table, data, 15.0, none)
+    assert len(lines) == 37
+    assert lines["comparable"].all()
+    assert lines["setting"].str.startswith("authors' files").all()
+    assert not lines["note"].str.contains("synthetic").any()
+
+
+def test_changed_recordings_are_the_readers_own(released):
+    path = rig._raw(released, rig.NAMES["T3"])[1]
+    path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    assert rig.load("recorded").source == "own"
 
 
 @pytest.mark.parametrize(
@@ -161,17 +245,6 @@ def test_readings_of_another_motion_are_said_to_hardly_follow(t1):
     assert "hardly follow" in rig.doubts(t1.q, noise, "noise")[0]
 
 
-def test_filters_are_weighed_as_bayes_says():
-    """One step of a linear model: the weights are prior times density of the reading, the means are exact."""
-    root, u, c = 3**0.5, 0.8, np.array([-1.0, 0.0, 2.0])
-    kalman = KalmanFilter(lambda q: q, [-root], [root], noise=0.5, acceleration=[1.0], velocity=[1.0])
-    log_prior = -0.5 * c**2
-    found = rig.weighed_filters(kalman, (u - c)[None, None, :, None], np.zeros((1, 3, 1)), log_prior[None])
-    weight = np.exp(log_prior) * norm.pdf(u - c, 0.0, np.sqrt(1 + 0.25))
-    mean = (weight * (u - c) / 1.25).sum() / weight.sum()
-    np.testing.assert_allclose(found[0, 0, 0], mean, rtol=1e-6)
-
-
 @pytest.fixture(scope="module")
 def data(t1):
     tests = {
@@ -239,19 +312,69 @@ def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
     np.testing.assert_allclose((bends.min(0) - low, high - bends.max(0)), 5.0, rtol=1e-9)
 
 
-def test_methods_are_means_over_the_seeds_and_medians_over_starts(data):
+def study(robot, method, error, **shares):
+    """Rows of the study of filters for one robot and method: errors of two recordings along both axes."""
+    rows = pd.DataFrame(error, columns=["delta_x", "delta_y"])
+    return rows.assign(robot=robot, method=method, recording=["T0", "T1"], **shares)
+
+
+def test_methods_are_means_over_the_seeds_beside_those_on_networks(data):
     q, u = data.beginnings(1.0)
     seeds = np.array([1e-3, 2e-3, 6e-3])[:, None]
     found = {"known": q[:, :, None] + seeds, "ours": (q - 4e-3)[:, :, None]}
     table = rig.errors(data, found, np.stack([u] * 3, 2), 1.0)
-    starts = pd.DataFrame(
-        [("half", rig.row_name("T1"), "delta_y", 1.0, 1.5, 2.0, False)],
-        columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
-    )
-    lines = rig.methods(table, starts)
-    assert lines["trajectory"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
+    own = [
+        study("authors' networks", "filter", [[1, 2], [3, 4]]),
+        study("random rig 0", "filter", [[8, 8], [8, 8]]),
+    ]
+    lines = rig.methods(table, pd.concat(own))
+    assert lines["recording"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
     np.testing.assert_allclose(lines[["known", "ours"]], [[3.0, 4.0]] * 12)
-    assert lines["half_step"].dropna().to_dict() == {3: 1.5}
+    assert lines["filter"].dropna().tolist() == [1, 2, 3, 4]
+    assert [*rig.methods(table, own[0][:0])] == ["recording", "quantity", "known", "ours"]
+    shown = rig.with_axes(lines)
+    assert [*shown] == ["bend", "known", "ours", "filter"]
+    assert shown["bend"].tolist()[:3] == ["T0, Δx", "T0, Δy", "T1, Δx"]
+
+
+def test_a_judgement_has_geometric_means_the_worst_recording_and_medians_of_random_rigs():
+    shares = {"far_percent": [1.0, 9.0], "far_unsaid_percent": [2.0, 0.0], "covered_percent": [10.0, 30.0]}
+    parts = []
+    for robot, factor in (
+        ("networks", 1.0),
+        ("random rig 0", 2.0),
+        ("random rig 1", 4.0),
+        ("random rig 2", 9.0),
+    ):
+        parts += [
+            study(robot, "descent", [[2.0, 2.0], [2.0, 2.0]]),
+            study(robot, "half step", [[1.0, 1.0], [4.0, 4.0]]),
+        ]
+        parts.append(study(robot, "filter", factor * np.array([[1.0, 4.0], [4.0, 1.0]]), **shares))
+        parts.append(study(robot, "filter, own biases", [[8.0, 8.0], [8.0, 8.0]]))
+    table = rig.judgement(pd.concat(parts))
+    assert table["robot"].tolist() == ["networks", "random rigs, median of 3"]
+    np.testing.assert_allclose(table.loc[0].iloc[1:].astype(float), [1.0, 1.0, 4.0, 9.0, 2.0, 20.0])
+    assert table.loc[1, "of_descent"] == pytest.approx(4.0)
+    assert [*table] == [*rig.JUDGEMENT]
+
+
+def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
+    printed = published("baaij2023", "Table 2")
+    q, u = data.beginnings(1.0)
+    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 2.0, 1.0)
+    found = rig.claims(printed, {"here": table}).set_index("claim")
+    assert found.loc["readings: mean 3.1", "Table 2"] == "3.1"
+    assert found.loc["readings: 0.6 to 4.6", "Table 2"] == "0.6 to 4.6"
+    assert found.loc["bend: mean 4.5", "Table 2"] == "4.5"
+    assert found.loc["bend: 1.9 to 13.6", "Table 2"] == "1.4 to 13.6"
+    assert found.loc["readings: mean 3.1", "here"] == f"{200 / np.ptp(data.tests['T0'].u):.1f}"
+    assert len(found) == len(rig.WHY)
+
+
+def test_bends_away_from_a_recording_are_outside(data):
+    q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
+    assert rig.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
 
 
 def test_ranges_say_where_rounding_decides():
