@@ -303,13 +303,14 @@ def test_the_numbers_of_the_home_page_are_means():
     ]  # fmt: skip
 
 
-def test_on_four_motions_the_rig_has_several_times_the_printed_error(card):
-    """As the home page says in words: T0 to T3, but not T4 and T5."""
+def test_on_three_motions_the_rig_has_several_times_the_printed_error(card):
+    """As the home page says in words: T0, T2 and T3; T1 has less than twice as much, T4 and T5 about the same."""
     rows = card[(card["artefact"] == "Table 2") & card["quantity"].str.startswith("delta")]
     ratio = pd.to_numeric(rows["regenerated"]) / pd.to_numeric(rows["published"])
-    far = rows["row"].str.contains("T[0-3].test")
-    assert ratio[far].min() > 2.5
-    assert ratio[~far].max() < 1.5
+    far, between = (rows["row"].str.contains(f"T{own}.test") for own in ("[023]", "1"))
+    assert ratio[far].min() > 2.2
+    assert 1.3 < ratio[between].min() < ratio[between].max() < 2.0
+    assert ratio[~far & ~between].max() < 1.5
 
 
 def test_the_home_page_names_no_other_numbers(card):
