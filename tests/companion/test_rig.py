@@ -353,7 +353,7 @@ def test_a_judgement_has_geometric_means_the_worst_recording_and_medians_of_rand
         parts.append(study(robot, "filter", factor * np.array([[1.0, 4.0], [4.0, 1.0]]), **shares))
         parts.append(study(robot, "filter, own biases", [[8.0, 8.0], [8.0, 8.0]]))
     table = rig.judgement(pd.concat(parts))
-    assert table["robot"].tolist() == ["networks", "random rigs, median of 3"]
+    assert table["robot"].tolist() == ["networks", "3 random rigs"]
     np.testing.assert_allclose(table.loc[0].iloc[1:].astype(float), [1.0, 1.0, 4.0, 9.0, 2.0, 20.0])
     assert table.loc[1, "of_descent"] == pytest.approx(4.0)
     assert [*table] == [*rig.JUDGEMENT]

@@ -942,10 +942,10 @@ METHODS = {
     "bend": "error of",
     "known": "descent",
     "half": "half step",
-    "ours": "our filter",
+    "ours": "filter",
     "descent": "networks: descent",
     "half step": "networks: half step",
-    "filter": "networks: our filter",
+    "filter": "networks: filter",
 }
 """Columns of the table of methods, and what a reader sees."""
 
@@ -976,7 +976,7 @@ def with_axes(table: pd.DataFrame) -> pd.DataFrame:
 JUDGEMENT = {
     "robot": "robot",
     "of_descent": "filter / descent",
-    "of_half_step": "filter / half step",
+    "of_half_step": "/ half step",
     "own_biases": "own biases",
     "far_percent": "far off [%]",
     "far_unsaid_percent": "no flag [%]",
@@ -1006,7 +1006,7 @@ def judgement(study: pd.DataFrame) -> pd.DataFrame:
         lines.append((robot, *ratios, *shares))
     table = pd.DataFrame(lines, columns=[*JUDGEMENT]).set_index("robot")
     random = table.index.str.startswith("random")
-    table.loc[f"random rigs, median of {random.sum()}"] = table[random].median()
+    table.loc[f"{random.sum()} random rigs"] = table[random].median()
     return table[~np.append(random, False)].reset_index()
 
 
