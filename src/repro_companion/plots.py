@@ -108,6 +108,7 @@ html[data-theme="dark"] .table-1 :is(.better, .differs) { --grey: #ced6dd; }
   border-top: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table tr > .edge { border-left: 1px solid rgb(128 128 128 / 50%); }
 .table-1.table-1.table-1 table small { display: block; font-size: inherit; color: var(--grey); }
+.table-1.table-1.table-1 table em { display: block; }
 .table-1.table-1.table-1 table tr.again :is(th, td, small) { color: var(--grey); }
 .table-1 .reproduced { background: rgb(0 158 115 / 11%); }
 .table-1 .weak { background: rgb(230 159 0 / 13%); }
@@ -512,34 +513,49 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
 RIG_COLUMNS = {"e_u": ("readings", "mV"), "delta_x": ("Δx", "mm"), "delta_y": ("Δy", "mm")}
 
 
-def table_2(printed: pd.DataFrame, errors: pd.DataFrame, moved: pd.DataFrame, badge: str) -> HTML:
-    """Return Table 2 as printed: published numbers, below them ours; ~ where rounding decides."""
+def table_2(printed: pd.DataFrame, lines: dict[str, pd.DataFrame], chaotic: set[tuple[str, str]]) -> HTML:
+    """Return Table 2 as printed: in each cell the published number, below it those of the named tables of errors.
+
+    The first of these stands beside ``chaotic`` rows and quantities, whose error rounding decides: they have a ~.
+    """
     key = ["row", "quantity", "unit"]
-    ours = errors[errors["elongation"] == "known"].groupby(key)["error"].agg(["mean", "std"])
-    chaotic = set(moved[moved["chaotic"] & (moved["step"] == "published")].set_index(key[:2]).index)
+    means = [
+        table[table["elongation"] == "known"].groupby(key)["error"].agg(["mean", "std"])
+        for table in lines.values()
+    ]
     columns = [(name, part) for name, (_, unit) in RIG_COLUMNS.items() for part in (unit, "%")]
     heads = [f'<th scope="col">{RIG_COLUMNS[name][0]}<br>[{unit}]</th>' for name, unit in columns]
-    lines = [f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>']
+    body = [f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>']
     for row, own in printed.groupby("row", sort=False):
         cells, known = [], own.set_index(["quantity", "unit"])
         for name, unit in columns:
             if (name, unit) not in known.index:
                 cells.append("<td>–</td>")
                 continue
-            above, below = known.loc[(name, unit)], ours.loc[(row, name, unit)]
-            n = len(above["printed"].partition(".")[2])
-            spread = f" ± {below['std']:.{n}f}" if np.isfinite(below["std"]) else ""
-            mark = "~ " if (row, name) in chaotic else ""
-            text = f"{above['printed']} ± {above['printed_std']}</small>{mark}{below['mean']:.{n}f}{spread}"
-            cells.append(f"<td><small>{text}</td>")
-        lines.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
+            above = known.loc[(name, unit)]
+            places = len(above["printed"].partition(".")[2])
+            texts = [_mean_and_spread(table, (row, name, unit), places) for table in means]
+            texts[0] = "~ " * ((row, name) in chaotic) + texts[0]
+            below = "".join(f"<em>{text}</em>" for text in texts[1:])
+            cells.append(
+                f"<td><small>{above['printed']} ± {above['printed_std']}</small>{texts[0]}{below}</td>"
+            )
+        body.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
     box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
-    words = "Upper: published. Lower: regenerated. ~: rounding changes the error of at least one network, see below."
-    mark = f'<span style="border: 1px solid; border-radius: 1em; padding: 0.1em 0.7em">{badge}</span>'
+    legend = " ".join(f"{look}: {name}." for look, name in zip(("Upright", "Italic"), lines, strict=False))
+    mark = " ~: rounding changes the error of at least one network, see below." if chaotic else ""
     return HTML(
-        f"{TABLE_1}<p>{mark}</p>{box}<table><thead>{''.join(lines)}</tbody></table></div>"
-        f"{SCROLL.format('the errors of the bend')}<p>{words}</p>"
+        f"{TABLE_1}{box}<table><thead>{''.join(body)}</tbody></table></div>"
+        f"{SCROLL.format('the errors of the bend')}<p>Grey: published. {legend}{mark}</p>"
     )
+
+
+def _mean_and_spread(table: pd.DataFrame, key: tuple[Any, str, str], places: int) -> str:
+    """Return a mean with its deviation, to as many places as are printed; a dash where there is none."""
+    if key not in table.index:
+        return "–"
+    mean, std = table.loc[key]
+    return f"{mean:.{places}f}" + (f" ± {std:.{places}f}" if np.isfinite(std) else "")
 
 
 @style()

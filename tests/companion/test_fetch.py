@@ -210,7 +210,7 @@ def test_a_damaged_list_is_refused_in_words(tmp_path, text, said):
 def test_the_list_of_the_project_can_be_used():
     path = project_folder() / "data/sources.json"
     names = [source.name for source in tool.read_sources(path)]
-    assert len(names) == len(set(names)) == 246
+    assert len(names) == len(set(names)) == 282
     with pytest.raises(InputError, match="must be one of baaij2023, .*; instead received none"):
         tool.read_sources(path, "none")
     with pytest.raises(InputError, match="list of repro fetch must be an existing file"):

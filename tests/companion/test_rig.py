@@ -50,6 +50,20 @@ def test_the_pose_of_the_ring_gives_the_configuration():
     np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "law"), q, atol=1e-10)
 
 
+@pytest.mark.parametrize("name", rig.TRAJECTORIES)
+def test_a_motion_is_taken_to_the_place_of_its_recording(name):
+    """Means and deviations are those read off the networks, and elongation rises with bend as it does there."""
+    place, bend = rig.PLACES[name], np.random.default_rng(0).normal([1, 2], [3, 4], (500, 2))
+    matrix, shift = rig.placement(place, bend)
+    at = bend @ matrix.T + shift
+    x, y = ((bend - bend.mean(0)) / bend.std(0)).T
+    np.testing.assert_allclose(at[:, 0], place.centre[0] - place.spread_x * x)
+    np.testing.assert_allclose(at[:, 1], place.centre[1] - place.spread_y[0] * x + place.spread_y[1] * y)
+    elongation = rig.elongations(place, at)
+    np.testing.assert_allclose(np.polyfit((at**2).sum(1), elongation, 1)[0], place.rise)
+    assert elongation.mean() == pytest.approx(place.elongation)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """The authors' two files of one trajectory, and what is in them."""

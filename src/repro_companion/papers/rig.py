@@ -298,6 +298,44 @@ STEP_MV = 2.0 * 2048.0 / 2**16
 """Step of the converter, an ADS1115."""
 
 
+class Place(NamedTuple):
+    """Workspace of a recording [mm], read off the released networks that were trained on it."""
+
+    centre: tuple[float, float]
+    """Mean bend."""
+    spread_x: float
+    spread_y: tuple[float, float]
+    """Deviation of the bend along x; along y, its part that follows x, and the rest."""
+    elongation: float
+    rise: float
+    """Mean elongation, and its rise with the square of the bend [1/mm]."""
+
+
+PLACES = {
+    "T0": Place((1.76, 0.13), 2.21, (1.482, -2.60), 5.85, 0.029),
+    "T1": Place((5.10, 0.28), 1.56, (0.14, 0.0), 6.38, 0.022),
+    "T2": Place((-1.97, -0.45), 1.59, (0.426, -4.26), 5.72, -0.037),
+    "T3": Place((2.00, 0.11), 3.76, (1.991, -4.63), 6.11, 0.024),
+    "T4": Place((1.83, -0.01), 3.15, (1.072, -3.97), 5.76, 0.049),
+    "T5": Place((2.02, -0.05), 2.72, (1.303, 3.62), 6.13, 0.029),
+}
+"""By least squares from the running means and variances of the norms of their inputs. Signs of ``spread_y`` remain
+open: mirrored motions fit almost as well."""
+
+
+def placement(place: Place, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix ``[2, 2]`` and the shift [mm] that turn x and take a motion ``[t, 2]`` [mm] to its place."""
+    spread = np.maximum(bend.std(axis=0), 1e-9)
+    matrix = np.array([[place.spread_x, 0.0], place.spread_y]) / spread * [-1.0, 1.0]
+    return matrix, place.centre - matrix @ bend.mean(axis=0)
+
+
+def elongations(place: Place, bend: np.ndarray) -> np.ndarray:
+    """Return the elongation [mm] that motion capture sees at bends ``[t, 2]`` [mm] of a recording."""
+    square = (bend**2).sum(axis=1)
+    return place.elongation + place.rise * (square - square.mean())
+
+
 RIG = SimpleNamespace(
     # Bend [mm] of the inflated segment without torque, and how an axis bends with its torque in units of the reach
     neutral=(1.72, -0.1),
@@ -590,6 +628,11 @@ def load(source: str = "auto") -> Data:
             for name, (capture, sensors) in files.items()
         }
         source = "recorded" if _released([path for pair in files.values() for path in pair]) else "own"
+    return divided(recordings, source)
+
+
+def divided(recordings: dict[str, Recording], source: str) -> Data:
+    """Return the first seven tenths of T5 for training, and the test parts of all recordings."""
     tests = {name: r if name == "T4" else r.cut(_first_of_test(r)) for name, r in recordings.items()}
     return Data(recordings["T5"].cut(0, _first_of_test(recordings["T5"])), tests, source)
 
@@ -833,6 +876,12 @@ def ranges_over_starts(study: pd.DataFrame) -> pd.DataFrame:
     moved = ((by_seed.max() - by_seed.min()) / by_seed.mean()).groupby(key, sort=False).max()
     table = means.agg(lowest="min", middle="median", highest="max").assign(chaotic=moved > 0.1)
     return table.reset_index()
+
+
+def decided_by_rounding(ranges: pd.DataFrame) -> set[tuple[str, str]]:
+    """Return the rows and quantities that rounding decides at the published step."""
+    cells = ranges[ranges["chaotic"] & (ranges["step"] == "published")]
+    return set(zip(cells["row"], cells["quantity"], strict=True))
 
 
 def methods(table: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
