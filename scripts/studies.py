@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Callable
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from magpylib.func import dipole_field
 from scipy import stats
+from scipy.optimize import least_squares
 
 import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
@@ -54,6 +56,62 @@ def rig_starts() -> pd.DataFrame:
         "apart": rig.APART,
     }
     table.attrs |= {"seconds": 15.0, "steps": ["published", "half"]}
+    return table
+
+
+def rig_sensors() -> pd.DataFrame:
+    """Return slopes [mV/mm] and ranges [mV] of the simulated sensors and of the authors' networks: half a minute.
+
+    One row for each recording and sensor, along the motion of the simulated rig; slopes are those of the plane that
+    fits best, of T1 those of a line in x. The settings hold the sensors that fit the networks best, and the rig has
+    these rounded: what no field of the ring explains, and directions of sensors of 5,000 mV/mT. Every recording
+    counts as much, and its offset is left out. It needs the authors' networks (``repro fetch baaij2023_networks``).
+    """
+    names = [name for name in rig.TRAJECTORIES if name not in released_networks.LEFT_OUT]
+    q = {name: rig.simulated(name).q[:: 40 if name == "T5" else 4] for name in names}
+    seeds, predicted = released_networks.SEEDS, released_networks.load_sensing
+    u = {name: np.mean([predicted(name, seed)(q[name]) for seed in seeds], axis=0) for name in names}
+
+    def sensors(values: np.ndarray) -> SimpleNamespace:
+        azimuth, polar, *curvature, ripple = values.reshape(6, 3)
+        across = np.sin(polar)
+        axis = np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(polar)])
+        own = {"sensitivity": 5000 * axis, "curvature": np.transpose(curvature), "ripple": ripple}
+        return SimpleNamespace(**vars(rig.RIG) | own)
+
+    def simulated(of: SimpleNamespace, name: str) -> np.ndarray:
+        felt = q[name].copy()
+        felt[:, 2] = 1e-3 * rig.RIG.elongation
+        return rig.readings(of, felt, felt)
+
+    def differences(values: np.ndarray) -> np.ndarray:
+        off = [u[name] - simulated(sensors(values), name) for name in names]
+        return np.concatenate([((d - d.mean(axis=0)) / len(d) ** 0.5).ravel() for d in off])
+
+    x, y, z = np.transpose(rig.RIG.sensitivity)
+    first = [
+        np.arctan2(y, x),
+        np.arctan2(np.hypot(x, y), z),
+        *np.transpose(rig.RIG.curvature),
+        rig.RIG.ripple,
+    ]
+    best = sensors(least_squares(differences, np.concatenate(first)).x)
+    rest = rig.RIG.rest + (u["T5"] - simulated(best, "T5")).mean(axis=0)
+    lines = []
+    for name in names:
+        moves = 1 if name == "T1" else 2
+        plane = np.column_stack([1e3 * q[name][:, :moves], np.ones(len(q[name]))])
+        both = u[name], simulated(rig.RIG, name)
+        slopes = [np.linalg.lstsq(plane, readings, rcond=None)[0][:moves] for readings in both]
+        for j in range(rig.SENSORS):
+            own = [value for slope in slopes for value in (*slope[:, j], np.nan)[:2]]
+            lines.append((name, j + 1, *own, *(np.ptp(readings[:, j]) for readings in both)))
+    columns = ["slope_x_networks", "slope_y_networks", "slope_x", "slope_y", "range_networks", "range"]
+    table = pd.DataFrame(lines, columns=["recording", "sensor", *columns])
+    table.attrs = {
+        name: np.round(getattr(best, name), 2).tolist() for name in ("sensitivity", "curvature", "ripple")
+    }
+    table.attrs |= {"rest": np.round(rest, 1).tolist(), "seeds": seeds}
     return table
 
 
@@ -426,6 +484,7 @@ STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
     study.__name__: study
     for study in (
         rig_starts,
+        rig_sensors,
         table_2_networks,
         table_1_best,
         table_1_noise,

@@ -152,16 +152,8 @@ WORDS = [
     ),
     (
         "notebooks/table_2.ipynb",
-        "our errors of the bend are between a third smaller and almost half larger than the published ones",
-        lambda: (
-            0.65 < table_2().loc[["T4", "T5"], "share"].min() < 0.75
-            and 1.35 < table_2().loc[["T4", "T5"], "share"].max() < 1.5
-        ),
-    ),
-    (
-        "notebooks/table_2.ipynb",
-        "on T1 and T5 it makes the errors larger",
-        lambda: (table_2()["half_step"] > table_2()["known"]).loc[["T1", "T5"]].all(),
+        "On T0, T1 and T4 its errors of the bend are one to four times the published ones",
+        lambda: table_2().loc[["T0", "T1", "T4"], "share"].between(1, 4).all(),
     ),
     (
         "notebooks/particle_filter.ipynb",

@@ -18,6 +18,17 @@ from .sample import STORED
 
 LOUD = SimpleNamespace(**(vars(rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
 """Fifteen times the noise."""
+FIRST = SimpleNamespace(
+    **vars(rig.RIG)
+    | {
+        "places": {},
+        "sensitivity": ((-1665.0, -1358.0, 4515.0), (-2461.0, 875.0, 4264.0), (-4111.0, -677.0, 2764.0)),
+        "rest": (1032.0, 915.4, 1159.5),
+        "curvature": ((-2.18, -0.55, -0.66), (-0.69, -0.09, 0.5), (-1.04, -0.23, 0.19)),
+        "ripple": (4.0, 0.95, 2.8),
+    }
+)
+"""The rig of the first edition, whose recordings had one place and other sensors."""
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +36,8 @@ def t1():
     return rig.simulated("T1")
 
 
-def test_simulated_recordings_are_those_of_the_first_edition(t1):
+def test_simulated_recordings_are_those_of_the_first_edition():
+    t1 = rig.simulated("T1", FIRST)
     assert len(t1) == 3460
     np.testing.assert_array_equal(t1.u[::20], STORED["rig_u"])
     # The first edition had the place of the markers in single precision, so a last digit of a file may differ.
@@ -59,9 +71,22 @@ def test_a_motion_is_taken_to_the_place_of_its_recording(name):
     x, y = ((bend - bend.mean(0)) / bend.std(0)).T
     np.testing.assert_allclose(at[:, 0], place.centre[0] - place.spread_x * x)
     np.testing.assert_allclose(at[:, 1], place.centre[1] - place.spread_y[0] * x + place.spread_y[1] * y)
-    elongation = rig.elongations(place, at)
+    running = np.arange(500) > 100
+    elongation = rig.elongations(place, at, running)
     np.testing.assert_allclose(np.polyfit((at**2).sum(1), elongation, 1)[0], place.rise)
-    assert elongation.mean() == pytest.approx(place.elongation)
+    assert elongation[running].mean() == pytest.approx(place.elongation)
+
+
+def test_a_simulated_recording_stands_at_its_place(t1):
+    """Its elongation rises with bend as read off the networks, and sensors do not feel that."""
+    place, q = rig.PLACES["T1"], 1e3 * t1.q
+    np.testing.assert_allclose(q.mean(axis=0), [*place.centre, place.elongation], atol=0.05)
+    assert q[:, 0].std() == pytest.approx(place.spread_x, abs=0.05)
+    assert np.polyfit((q[:, :2] ** 2).sum(axis=1), q[:, 2], 1)[0] == pytest.approx(place.rise, abs=1e-3)
+    level = SimpleNamespace(**vars(rig.RIG) | {"places": {"T1": place._replace(elongation=5.5, rise=0.0)}})
+    longer = rig.simulated("T1", level)
+    np.testing.assert_array_equal(longer.u, t1.u)
+    assert 1e3 * longer.q[:, 2].mean() == pytest.approx(5.5, abs=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -80,16 +80,13 @@ def load_sensing(trajectory: str, seed: int) -> Sensing:
 def robots() -> rig.Data:
     """Return synthetic recordings whose readings are the mean over the networks of each recording, and noise.
 
-    The motion is that of the simulated rig, at the place of the recording. T4 is left out.
+    The motion is that of the simulated rig. T4 is left out.
     """
     recordings = {}
     for number, name in enumerate(rig.TRAJECTORIES):
         if name in LEFT_OUT:
             continue
-        bend = 1e3 * rig.simulated(name).q[:, :2]
-        matrix, shift = rig.placement(rig.PLACES[name], bend)
-        bend = bend @ matrix.T + shift
-        q = 1e-3 * np.column_stack([bend, rig.elongations(rig.PLACES[name], bend)])
+        q = rig.simulated(name).q
         u = np.mean([load_sensing(name, seed)(q) for seed in SEEDS], axis=0)
         noise = NOISE_MV * np.random.default_rng(number).standard_normal(u.shape)
         recordings[name] = rig.Recording(name, q, u + noise)
