@@ -49,7 +49,11 @@ class OwnNetwork(SegmentNetwork):
 
 
 def main(
-    *, only: str = "", folder: Path = ROOT / "data/networks", checkpoints: Path = ROOT / ".cache/networks"
+    *,
+    only: str = "",
+    recordings: bool = False,
+    folder: Path = ROOT / "data/networks",
+    checkpoints: Path = ROOT / ".cache/networks",
 ) -> int:
     """Train the networks of the paper that are not there yet; go on where it stopped.
 
@@ -57,12 +61,20 @@ def main(
     ----------
     only
         Train only those whose name starts with this, such as pcc_nb1.
+    recordings
+        Train the nine networks for the authors' recordings instead (``repro fetch baaij2023 --page table_2``). They
+        stand in REPRO_DATA_DIR.
     folder
         Folder of the networks.
     checkpoints
         Folder of the state between runs.
     """
     torch.set_num_threads(1)  # several of these run side by side faster than one with several threads
+    if recordings:
+        data = rig.load("recorded")
+        for seed in rig.SEEDS:
+            rig.networks(data, seed)
+        return 0
     own = [OwnNetwork(1, 0, earth=False, seed=seed) for seed in SEEDS]
     of_rig = [rig.RigNetwork(sensor, seed) for seed in SEEDS for sensor in range(rig.SENSORS)]
     wanted = [spec for spec in (*trained_networks(), *of_rig, *own) if spec.name.startswith(only)]

@@ -1,15 +1,16 @@
 """The rig of Table 2: stored recordings, closed forms, files, alignment, filters, published cells."""
 
+import json
 from dataclasses import replace
+from hashlib import sha256
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
-from repro import GradientDescent, InputError, KalmanFilter, Sensing, track
+from repro import GradientDescent, InputError, Sensing, track
 from repro.robot import place
 from repro_companion.papers import rig
 from repro_companion.show import published
@@ -133,6 +134,50 @@ def test_files_in_the_authors_formats_give_the_recording(files, t1):
     np.testing.assert_array_equal(found.q, t1.q)
 
 
+@pytest.fixture
+def released(files, tmp_path, monkeypatch):
+    """Recordings of our own in the released form: twelve files, whose hashes are on the list."""
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    monkeypatch.setattr(rig, "project_folder", lambda: tmp_path)
+    listed = []
+    for whole in rig.NAMES.values():
+        for path, of_t1 in zip(rig._raw(tmp_path / rig.FOLDER, whole), files, strict=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(of_t1.read_bytes())
+            own = {
+                "path": str(path.relative_to(tmp_path / "baaij2023")),
+                "sha256": sha256(path.read_bytes()).hexdigest(),
+            }
+            listed.append(own)
+    about = {"repository": "https://github.com/o/n", "commit": "a1" * 20, "files": listed}
+    about["readers"] = [{"files": "", "page": "table_2", "use": "all"}]
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "sources.json").write_text(json.dumps({"baaij2023": about}), encoding="utf-8")
+    return tmp_path / rig.FOLDER
+
+
+def test_with_recordings_in_the_released_form_all_rows_are_comparable(released, t1):
+    data = rig.load("recorded")
+    assert data.source == "recorded"
+    np.testing.assert_array_equal(data.tests["T4"].u, t1.u)
+    q, u = data.beginnings(15.0)
+    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 1.0, 15.0)
+    none = pd.DataFrame(columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"]).astype(
+        {"chaotic": bool}
+    )
+    lines = rig.scorecard_rows(table, data, 15.0, none)
+    assert len(lines) == 37
+    assert lines["comparable"].all()
+    assert lines["setting"].str.startswith("authors' files").all()
+    assert not lines["note"].str.contains("synthetic").any()
+
+
+def test_changed_recordings_are_the_readers_own(released):
+    path = rig._raw(released, rig.NAMES["T3"])[1]
+    path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    assert rig.load("recorded").source == "own"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -198,17 +243,6 @@ def test_a_false_start_is_refused_even_by_a_whole_period(monkeypatch, late):
 def test_readings_of_another_motion_are_said_to_hardly_follow(t1):
     noise = np.random.default_rng(0).normal(size=t1.u.shape)
     assert "hardly follow" in rig.doubts(t1.q, noise, "noise")[0]
-
-
-def test_filters_are_weighed_as_bayes_says():
-    """One step of a linear model: the weights are prior times density of the reading, the means are exact."""
-    root, u, c = 3**0.5, 0.8, np.array([-1.0, 0.0, 2.0])
-    kalman = KalmanFilter(lambda q: q, [-root], [root], noise=0.5, acceleration=[1.0], velocity=[1.0])
-    log_prior = -0.5 * c**2
-    found = rig.weighed_filters(kalman, (u - c)[None, None, :, None], np.zeros((1, 3, 1)), log_prior[None])
-    weight = np.exp(log_prior) * norm.pdf(u - c, 0.0, np.sqrt(1 + 0.25))
-    mean = (weight * (u - c) / 1.25).sum() / weight.sum()
-    np.testing.assert_allclose(found[0, 0, 0], mean, rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -278,19 +312,69 @@ def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
     np.testing.assert_allclose((bends.min(0) - low, high - bends.max(0)), 5.0, rtol=1e-9)
 
 
-def test_methods_are_means_over_the_seeds_and_medians_over_starts(data):
+def study(robot, method, error, **shares):
+    """Rows of the study of filters for one robot and method: errors of two recordings along both axes."""
+    rows = pd.DataFrame(error, columns=["delta_x", "delta_y"])
+    return rows.assign(robot=robot, method=method, recording=["T0", "T1"], **shares)
+
+
+def test_methods_are_means_over_the_seeds_beside_those_on_networks(data):
     q, u = data.beginnings(1.0)
     seeds = np.array([1e-3, 2e-3, 6e-3])[:, None]
     found = {"known": q[:, :, None] + seeds, "ours": (q - 4e-3)[:, :, None]}
     table = rig.errors(data, found, np.stack([u] * 3, 2), 1.0)
-    starts = pd.DataFrame(
-        [("half", rig.row_name("T1"), "delta_y", 1.0, 1.5, 2.0, False)],
-        columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
-    )
-    lines = rig.methods(table, starts)
-    assert lines["trajectory"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
+    own = [
+        study("authors' networks", "filter", [[1, 2], [3, 4]]),
+        study("random rig 0", "filter", [[8, 8], [8, 8]]),
+    ]
+    lines = rig.methods(table, pd.concat(own))
+    assert lines["recording"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
     np.testing.assert_allclose(lines[["known", "ours"]], [[3.0, 4.0]] * 12)
-    assert lines["half_step"].dropna().to_dict() == {3: 1.5}
+    assert lines["filter"].dropna().tolist() == [1, 2, 3, 4]
+    assert [*rig.methods(table, own[0][:0])] == ["recording", "quantity", "known", "ours"]
+    shown = rig.with_axes(lines)
+    assert [*shown] == ["bend", "known", "ours", "filter"]
+    assert shown["bend"].tolist()[:3] == ["T0, Δx", "T0, Δy", "T1, Δx"]
+
+
+def test_a_judgement_has_geometric_means_the_worst_recording_and_medians_of_random_rigs():
+    shares = {"far_percent": [1.0, 9.0], "far_unsaid_percent": [2.0, 0.0], "covered_percent": [10.0, 30.0]}
+    parts = []
+    for robot, factor in (
+        ("networks", 1.0),
+        ("random rig 0", 2.0),
+        ("random rig 1", 4.0),
+        ("random rig 2", 9.0),
+    ):
+        parts += [
+            study(robot, "descent", [[2.0, 2.0], [2.0, 2.0]]),
+            study(robot, "half step", [[1.0, 1.0], [4.0, 4.0]]),
+        ]
+        parts.append(study(robot, "filter", factor * np.array([[1.0, 4.0], [4.0, 1.0]]), **shares))
+        parts.append(study(robot, "filter, own biases", [[8.0, 8.0], [8.0, 8.0]]))
+    table = rig.judgement(pd.concat(parts))
+    assert table["robot"].tolist() == ["networks", "3 random rigs"]
+    np.testing.assert_allclose(table.loc[0].iloc[1:].astype(float), [1.0, 1.0, 4.0, 9.0, 2.0, 20.0])
+    assert table.loc[1, "of_descent"] == pytest.approx(4.0)
+    assert [*table] == [*rig.JUDGEMENT]
+
+
+def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
+    printed = published("baaij2023", "Table 2")
+    q, u = data.beginnings(1.0)
+    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 2.0, 1.0)
+    found = rig.claims(printed, {"here": table}).set_index("claim")
+    assert found.loc["readings: mean 3.1", "Table 2"] == "3.1"
+    assert found.loc["readings: 0.6 to 4.6", "Table 2"] == "0.6 to 4.6"
+    assert found.loc["bend: mean 4.5", "Table 2"] == "4.5"
+    assert found.loc["bend: 1.9 to 13.6", "Table 2"] == "1.4 to 13.6"
+    assert found.loc["readings: mean 3.1", "here"] == f"{200 / np.ptp(data.tests['T0'].u):.1f}"
+    assert len(found) == len(rig.WHY)
+
+
+def test_bends_away_from_a_recording_are_outside(data):
+    q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
+    assert rig.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
 
 
 def test_ranges_say_where_rounding_decides():
