@@ -232,9 +232,11 @@ def test_a_page_can_be_fetched_alone(tmp_path, server, monkeypatch, capsys):
     assert capsys.readouterr().out.splitlines()[:3] == [
         "p2020: 2 files, at least 0.0 MB, 1 here; from github.com/o/n at a1a1a1a",
         "  one: 1 file, 0.0 MB: x",
-        "  no page yet: 1 file, size not listed: y",
+        "  a study: 1 file, size not listed: y",
     ]
-    with pytest.raises(InputError, match="page of repro fetch must be one of one; instead received two"):
+    with pytest.raises(
+        InputError, match="page of repro fetch must be one of one; instead received two"
+    ):
         tool.read_sources(path, page="two")
 
 
@@ -266,14 +268,13 @@ def test_every_listed_file_has_a_reader():
                 places = [place for place in (file, *file.parents) if place.is_relative_to(folder)]
                 if not any(place.match(text) for place in places for text in texts):
                     unread.add((folder.name, reader["page"]))
-    none = {("merged_data", ""), ("processed_motion_capture_data", "")}
-    assert unread == none | {("LICENSE", "real_arm")}
+    assert unread == {("LICENSE", "real_arm")}
 
 
 def test_the_list_of_the_project_can_be_used():
     path = project_folder() / "data/sources.json"
     listed = [source.name for source in tool.read_sources(path)]
-    assert len(listed) == len(set(listed)) == 281
+    assert len(listed) == len(set(listed)) == 257
     table_2 = tool.read_sources(path, "baaij2023", "table_2")
     assert (len(table_2), sum(source.size for source in table_2)) == (12, 15_870_485)
     with pytest.raises(InputError, match="must be one of baaij2023, .*; instead received none"):

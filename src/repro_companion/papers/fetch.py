@@ -53,7 +53,7 @@ class Source:
     large: bool
     """Whether the content is in Git LFS."""
     page: str = ""
-    """The page that reads it; empty where none does."""
+    """The page that reads it; empty where a study does."""
     use: str = ""
     """What for."""
 
@@ -131,7 +131,7 @@ def listing(sources: Sequence[Source], folder: Path) -> str:
         here = sum(source.is_at(folder / source.name) for source in files)
         lines.append(f"{paper}: {amount(files)}, {here} here; from {origin}")
         for (page, use), group in groupby(files, lambda source: (source.page, source.use)):
-            lines.append(f"  {page or 'no page yet'}: {amount(group)}: {use}")
+            lines.append(f"  {page or 'a study'}: {amount(group)}: {use}")
     return "\n".join(lines)
 
 

@@ -43,6 +43,7 @@ from repro.sensing import relations
 from repro_board.lag import search_lag
 from repro_companion.papers.fetch import read_sources
 from repro_companion.run import project_folder, recordings_folder
+from repro_companion.scorecard import AUTHORS
 
 RATE_HZ, SENSORS = 40.0, 3
 LENGTH, RADIUS = 106.05e-3, 22e-3
@@ -768,8 +769,6 @@ def errors(
     return pd.DataFrame(lines, columns=["elongation", "row", "seed", "quantity", "unit", "error"])
 
 
-AUTHORS = "authors' files"
-"""What the setting of rows about the authors' recordings begins with."""
 SETTING = "as released: elongation known, start at ground truth, momentum carried, split 70/30"
 MEANS = (("Abstract", "experiments mean relative error", ("delta_x", "delta_y")),
          ("Section 5.5", "experiments mean relative e_u", ("e_u",)))  # fmt: skip
