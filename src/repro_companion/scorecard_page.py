@@ -32,8 +32,9 @@ REAL = "With the authors' files"
 """Heading of what was computed with these files; only tables with such a number have the column."""
 CAPTION = {"Setting": "setting", "Setting with files": "with_files_setting", "Our method": "best_method"}
 """What the caption of a table of rows says, by its heading."""
+NETWORK_COLUMNS = ["row", "quantity", "unit", "error"]
 NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
-"""Columns of the study of the noise of Table 1 that the home page needs; another project may not have the study."""
+"""Columns of studies of Tables 2 and 1 that the home page needs; another project may not have them."""
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -79,6 +80,8 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
     titles = {page: title(root, page) for page in index["page"].unique()}
     study = root / "data" / "studies" / "table_1_noise.csv"
     noise = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NOISE_COLUMNS)
+    study = root / "data" / "studies" / "table_2_networks.csv"
+    networks = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NETWORK_COLUMNS)
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     texts = {
         "index.md": index_page(index, titles, card),
@@ -86,7 +89,7 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
         "counts.md": counts_page(card[real.columns], real),
         "rows.md": rows_page(card, places),
         "files.md": files_page(read_sources(root / "data" / "sources.json")),
-        "values.json": json.dumps(findings(card, noise), ensure_ascii=False),
+        "values.json": json.dumps(findings(card, noise, networks), ensure_ascii=False),
     }
     for name, text in texts.items():
         path = root / "book" / "generated" / name
@@ -243,10 +246,11 @@ def files_page(sources: Iterable[Source]) -> str:
     return rendered("files.md", groups=[(*about, amount(files)) for about, files in groups])
 
 
-def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
+def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) -> dict[str, str]:
     """Return what the home page says in numbers, by name; a dash for a paper that the scorecard lacks.
 
-    The study of the noise has the calibrated robots of Table 1 with the noise that the paper prints.
+    The study of the noise has the calibrated robots of Table 1 with the noise that the paper prints, that of the
+    networks the errors of Table 2 on robots whose readings are the authors' networks.
     """
     numbers = card.assign(
         **{name: pd.to_numeric(card[name]) for name in ("published", "regenerated", "best")}
@@ -255,8 +259,12 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
         (numbers["artefact"] == "Table 1") & (numbers["row"] == "n_b=1") & (numbers["unit"] == "%")
     ]
     bend = numbers[numbers["quantity"] == "rmse_position"]
-    relative = numbers["quantity"].str.startswith("delta") & (numbers["unit"] == "%")
-    rig = numbers[relative & (numbers["artefact"] == "Table 2") & numbers["row"].str.endswith("T5.test")]
+    in_mm = numbers["quantity"].str.startswith("delta") & (numbers["unit"] == "mm")
+    table_2 = numbers[in_mm & (numbers["artefact"] == "Table 2")].set_index(["row", "quantity"])
+    errors = networks[networks["unit"] == "mm"].groupby(["row", "quantity"])["error"].mean()
+    rig, robots = (
+        (errors / table_2["published"]).groupby("row").mean() for errors in (table_2["regenerated"], errors)
+    )
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
     ours = card[card["paper"] == "baaij2023"]
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
@@ -268,8 +276,10 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame) -> dict[str, str]:
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
-        "home.rig_own": number(rig["regenerated"].mean(), 2),
-        "home.rig_printed": number(rig["published"].mean(), 2),
+        "home.rig_least": number(rig.min(), 2),
+        "home.rig_most": number(rig.max(), 2),
+        "home.networks_least": number(robots.min(), 2),
+        "home.networks_most": number(robots.max(), 2),
         "home.bend_paper": number(bend["regenerated"].mean(), 1),
         "home.bend_printed": number(bend["published"].mean(), 2),
     }

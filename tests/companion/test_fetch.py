@@ -234,9 +234,7 @@ def test_a_page_can_be_fetched_alone(tmp_path, server, monkeypatch, capsys):
         "  one: 1 file, 0.0 MB: x",
         "  a study: 1 file, size not listed: y",
     ]
-    with pytest.raises(
-        InputError, match="page of repro fetch must be one of one; instead received two"
-    ):
+    with pytest.raises(InputError, match="page of repro fetch must be one of one; instead received two"):
         tool.read_sources(path, page="two")
 
 

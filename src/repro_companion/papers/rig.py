@@ -639,7 +639,7 @@ def load(source: str = "auto") -> Data:
     folder = recordings_folder() / FOLDER
     files = {name: _raw(folder, whole) for name, whole in NAMES.items()}
     missing = [name for name, pair in files.items() if not all(path.is_file() for path in pair)]
-    words = f"recorded: raw files of {', '.join(NAMES)} below {folder} (repro fetch baaij2023 --page table_2)"
+    words = f"recorded: raw files of {', '.join(NAMES)} below {folder} (repro fetch baaij2023)"
     require(source != "recorded" or not missing, "source", "load", words, f"none of {', '.join(missing)}")
     if source == "simulated" or missing:
         recordings, source = {name: simulated(name) for name in TRAJECTORIES}, "simulated"
@@ -783,8 +783,8 @@ ABOUT = {
 37 of its numbers are compared with the published ones:
 
 ```bash
-repro fetch baaij2023 --page table_2
-python scripts/train.py --recordings
+.venv/bin/repro fetch baaij2023
+.venv/bin/python scripts/train.py --recordings
 make page P=table_2
 ```
 
