@@ -236,7 +236,7 @@ def batch(method: Any, start: Any, readings: Any, *at: float) -> Callable[[], An
 
 def own_robot_rows() -> Rows:
     """Yield what the monitor costs, and how fast shapes are fitted to motion capture."""
-    from repro.robot import point_on
+    from repro.chain import point_on
 
     for n_b in (1, 3):
         robot, low, high, q, u = on_t3(n_b, few(1000))

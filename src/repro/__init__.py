@@ -41,11 +41,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from repro.chain import (
+        AffineCurvature as AffineCurvature,
+        BallJoint as BallJoint,
+        ConstantCurvature as ConstantCurvature,
+        FreeBody as FreeBody,
+        Link as Link,
+    )
     from repro.common import (
         InputError as InputError,
-    )
-    from repro.estimators.base import (
-        track as track,
     )
     from repro.estimators.calibration import (
         calibrate as calibrate,
@@ -53,6 +57,9 @@ if TYPE_CHECKING:
     from repro.estimators.drift import (
         Drift as Drift,
         Drifting as Drifting,
+    )
+    from repro.estimators.fit_shape import (
+        fit_shape as fit_shape,
     )
     from repro.estimators.gradient_descent import (
         GradientDescent as GradientDescent,
@@ -67,13 +74,16 @@ if TYPE_CHECKING:
     )
     from repro.estimators.kalman import (
         KalmanFilter as KalmanFilter,
-        smooth as smooth,
     )
     from repro.estimators.least_squares import (
         LevenbergMarquardt as LevenbergMarquardt,
     )
     from repro.estimators.particle import (
         ParticleFilter as ParticleFilter,
+    )
+    from repro.estimators.track import (
+        smooth as smooth,
+        track as track,
     )
     from repro.magnets import (
         Cube as Cube,
@@ -82,18 +92,12 @@ if TYPE_CHECKING:
         Ring as Ring,
         simulated_readings as simulated_readings,
     )
-    from repro.estimators.fit_shape import (
-        fit_shape as fit_shape,
+    from repro.parts import (
+        Imu as Imu,
+        Sensor as Sensor,
     )
     from repro.robot import (
-        AffineCurvature as AffineCurvature,
-        BallJoint as BallJoint,
-        ConstantCurvature as ConstantCurvature,
-        FreeBody as FreeBody,
-        Imu as Imu,
-        Link as Link,
         Robot as Robot,
-        Sensor as Sensor,
     )
     from repro.robot_file import (
         example as example,
@@ -107,18 +111,20 @@ if TYPE_CHECKING:
 __version__ = "1.0.0"
 
 _HOMES = {
+    "chain": "AffineCurvature BallJoint ConstantCurvature FreeBody Link",
     "common": "InputError",
-    "estimators.base": "track",
     "estimators.calibration": "calibrate",
     "estimators.drift": "Drift Drifting",
+    "estimators.fit_shape": "fit_shape",
     "estimators.gradient_descent": "GradientDescent",
     "estimators.imu": "Arm calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
-    "estimators.kalman": "KalmanFilter smooth",
+    "estimators.kalman": "KalmanFilter",
     "estimators.least_squares": "LevenbergMarquardt",
     "estimators.particle": "ParticleFilter",
+    "estimators.track": "smooth track",
     "magnets": "Cube Disc Magnet Ring simulated_readings",
-    "estimators.fit_shape": "fit_shape",
-    "robot": "AffineCurvature BallJoint ConstantCurvature FreeBody Imu Link Robot Sensor",
+    "parts": "Imu Sensor",
+    "robot": "Robot",
     "robot_file": "example load_robot",
     "sensing": "BendSensor Sensing",
 }

@@ -20,8 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import ConstantCurvature
 from repro.common import Array, require
-from repro.robot import ConstantCurvature, Robot
+from repro.parts import Assembly
+from repro.sensing import sensing_of
+from repro.tolerances import Tolerances, priors_of, slopes_of
 
 _HOPELESS = 0.3
 """Standard deviation of the tip, as a share of what the bounds alone leave, from which little is known."""
@@ -110,7 +113,7 @@ def _in_words(std: Array) -> str:
     return f"{_length(middle)}, {_length(worst)}"
 
 
-def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCheck:
+def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> DesignCheck:
     """Ask whether a robot can work: see :meth:`repro.Robot.check`.
 
     Parameters
@@ -147,7 +150,7 @@ def check_design(robot: Robot, *, samples: int = 400, seed: int = 0) -> DesignCh
     for name, value in (("bounds", lower), ("noise", noise)):
         require(value is not None, name, owner, "stated by the robot", "none")
     require(samples > 1, "samples", owner, "at least 2", samples)
-    sensing, free = robot.sensing(), upper > lower
+    sensing, free = sensing_of(robot), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
     q = np.random.default_rng(seed).uniform(lower, upper, (samples, robot.n_q))
     u, J = sensing.linearise(q)
@@ -204,7 +207,7 @@ _MIRRORS = (((1.0, 1.0), (1, 0)), ((-1.0, 1.0), (0, 1)), ((1.0, -1.0), (0, 1)))
 """What planes through the backbone do to x and y: signs, and which comes first."""
 
 
-def mirrors_in_words(robot: Robot) -> tuple[str, ...]:
+def mirrors_in_words(robot: Assembly) -> tuple[str, ...]:
     """Return a sentence for each chip whose wiring no reading can check."""
     return tuple(
         f"readings alone cannot tell whether axes of {name} are exchanged or inverted: bend the robot to one side "
@@ -213,7 +216,7 @@ def mirrors_in_words(robot: Robot) -> tuple[str, ...]:
     )
 
 
-def mirrored_chips(robot: Robot) -> tuple[str, ...]:
+def mirrored_chips(robot: Assembly) -> tuple[str, ...]:
     """Return the chips with three axes whose wrong wiring reads like a mirrored shape of the robot.
 
     We mirror the shape at three planes through the backbone, and the axes of one chip with it. If all readings agree,
@@ -226,7 +229,7 @@ def mirrored_chips(robot: Robot) -> tuple[str, ...]:
         return ()
     bounds: Any = (robot.lower, robot.upper)
     q = np.random.default_rng(0).uniform(bounds[0], bounds[1], (20, robot.n_q))
-    sensing, found = robot.sensing(), []
+    sensing, found = sensing_of(robot), []
     u = sensing(q)
     for k, name in enumerate(robot.part_names[: len(robot.sensors)]):
         rows = np.flatnonzero(robot.parts == k)
@@ -241,10 +244,8 @@ def mirrored_chips(robot: Robot) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _off_drawing(robot: Robot, sensing: Any, q: Array) -> Array:
+def _off_drawing(robot: Assembly, sensing: Any, q: Array) -> Array:
     """Slopes of the readings by what parts may be off their drawing, times its deviations ``[n, s, k]``."""
-    from repro.estimators.calibration import Tolerances, _priors, _slopes
-
     off = np.zeros((len(q), sensing.n_readings, 3 * len(robot.imus)))
     for k, imu in enumerate(robot.imus):
         own, row = imu.tolerance or {}, sensing.n_magnetic + 3 * k
@@ -253,14 +254,14 @@ def _off_drawing(robot: Robot, sensing: Any, q: Array) -> Array:
     if robot.model is not None or not robot.magnets or not robot.sensors:
         return off
     drawn = robot.replaced(imus=(), noise=None, moments=sensing.moments)
-    priors = _priors(drawn, Tolerances())
+    priors = priors_of(drawn, Tolerances())
     rows = np.zeros((len(q), sensing.n_readings, len(priors)))
-    K = _slopes(drawn, drawn.sensing(), dict.fromkeys(priors, 0.0), q) * list(priors.values())
+    K = slopes_of(drawn, sensing_of(drawn), dict.fromkeys(priors, 0.0), q) * list(priors.values())
     rows[:, : sensing.n_magnetic] = K
     return np.concatenate([rows, off], axis=-1)
 
 
-def _added(robot: Robot, H: Array, A: Array) -> dict[str, float]:
+def _added(robot: Assembly, H: Array, A: Array) -> dict[str, float]:
     eye, added = np.eye(A.shape[-1]), {}
     whole = np.linalg.slogdet(A + eye)[1]
     for k, name in enumerate(robot.part_names):
@@ -270,7 +271,7 @@ def _added(robot: Robot, H: Array, A: Array) -> dict[str, float]:
     return added
 
 
-def _saturated(robot: Robot, u: Array, beyond: Array) -> dict[str, tuple[float, float]]:
+def _saturated(robot: Assembly, u: Array, beyond: Array) -> dict[str, tuple[float, float]]:
     found = {}
     for k in np.flatnonzero(beyond.any(0)):
         found[robot.names[k]] = float(beyond[:, k].mean()), float(np.abs(u[:, k]).max())

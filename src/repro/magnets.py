@@ -12,8 +12,9 @@ import numpy as np
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 
+from repro.chain import Place, place
 from repro.common import Array, bad_input, numbers, require, scalar
-from repro.robot import Place, Robot, check_tolerance, place
+from repro.parts import Assembly, check_tolerance
 
 
 @dataclass(frozen=True)
@@ -281,7 +282,7 @@ class Magnet:
         return place("Magnet", self.segment, self.at, self.position, None, self.direction)
 
 
-def simulated_readings(robot: Robot, q: Any, earth_mt: Any = None) -> Array:
+def simulated_readings(robot: Assembly, q: Any, earth_mt: Any = None) -> Array:
     """Return what the sensors and IMUs of a robot read without noise, by magpylib's exact fields.
 
     Parameters

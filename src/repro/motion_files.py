@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from repro.common import Array, bad_input, numbers, printable, require
 from repro.estimators.calibration import outside
 from repro.estimators.fit_shape import fit_shape, measured_poses, places_of
-from repro.robot import Robot
+from repro.parts import Assembly
 from repro.tables import POSITION_FIRST, Table, bodies_of, configurations_of, read_table, text_of
 
 _SHOWN = 200
@@ -313,7 +313,7 @@ class Poses(NamedTuple):
 
 
 def read_poses(
-    robot: Robot, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
+    robot: Assembly, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
 ) -> Poses:
     """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
 
@@ -372,7 +372,7 @@ def read_poses(
 
 
 def _clear_outside(
-    robot: Robot,
+    robot: Assembly,
     q: Array,
     owner: str,
     lines: Sequence[int],
@@ -411,7 +411,7 @@ def _at_rest(T: Array, times: Array, straight_s: float, names: Sequence[str], ow
     return rest
 
 
-def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array], Array]:
+def _straightened(robot: Assembly, T: Array, rest: Array) -> tuple[dict[int, Array], Array]:
     """Return poses of the ends of segments, straight at rest, and the rotation of the base.
 
     The base has its axes along those of the capture, in whichever of 24 ways fits the robot best, or leans from them
@@ -448,7 +448,7 @@ def _straightened(robot: Robot, T: Array, rest: Array) -> tuple[dict[int, Array]
 
 
 def _fitted(
-    robot: Robot, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
+    robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
 ) -> Poses:
     """Return the configurations that fit bodies best."""
     n, there = len(robot.segments), list(motion.bodies)

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import point_on
 from repro.common import Array, require
-from repro.robot import Robot, point_on
+from repro.parts import Assembly
+from repro.sensing import sensing_of
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _NORTH, _SOUTH = "#C1272D", "#3B5BA5"
@@ -23,7 +25,9 @@ _BAND = 1.96
 """Half of a band that holds 95 % of a normal distribution, in standard deviations."""
 
 
-def plot_robot(robot: Robot, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None) -> Any:
+def plot_robot(
+    robot: Assembly, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None
+) -> Any:
     """Draw a robot in one shape or in several on each other: see :meth:`repro.Robot.plot`.
 
     Parameters
@@ -89,14 +93,14 @@ def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:
     return usual if n <= len(usual) else [*mpl.colormaps["turbo"](np.linspace(0.05, 0.95, n))]
 
 
-def _draw(ax: Any, robot: Robot, q: Array, colour: str, name: str | None) -> None:
+def _draw(ax: Any, robot: Assembly, q: Array, colour: str, name: str | None) -> None:
     around = np.linspace(0, 2 * math.pi, 25)
     for g, segment in enumerate(robot.segments, 1):
         share = np.linspace(0, 1, 25) if segment.length else np.ones(1)
         T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
         line = 1e3 * T[:, :3, 3]
         ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
-        ring = getattr(segment, "radius", 0.0) * np.stack([np.cos(around), np.sin(around), 0 * around])
+        ring = segment.sizes[1] * np.stack([np.cos(around), np.sin(around), 0 * around])
         if 0 < np.ptp(ring) < 2 * segment.length:
             tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
             ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
@@ -187,7 +191,7 @@ def _readings(shape: Any, usual: Sequence[Any], above: Any, below: Any) -> None:
     robot = shape.robot if shape.robot is not None and shape.robot.n_readings == s else None
     names = [f"u{k}" for k in range(1, s + 1)] if robot is None else robot.names
     parts, part_names = (range(s), names) if robot is None else (robot.parts, robot.part_names)
-    minus: Any = np.subtract if robot is None else robot.sensing().difference  # of orientations a rotation
+    minus: Any = np.subtract if robot is None else sensing_of(robot).difference  # of orientations a rotation
     residuals, labelled = minus(shape.readings, shape.u_hat), set()
     for j, name in enumerate(names):
         (line,) = above.plot(shape.times, shape.u_hat[:, j], lw=1, label=name)

@@ -1,9 +1,8 @@
-"""A robot in a TOML file, and what a calibration found in a JSON file. Reading them runs no code."""
+"""A robot in a TOML file. Reading it runs no code."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import re
 import tomllib
@@ -16,21 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from repro.common import InputError, bad_input, numbers, require
-from repro.estimators.calibration import _FARTHEST, Calibration, placed
+from repro.chain import AffineCurvature, BallJoint, ConstantCurvature, FreeBody, Link, point_on
+from repro.common import InputError, bad_input, require
+from repro.estimators.calibration import load_calibration
 from repro.magnets import Cube, Disc, Magnet, Ring
 from repro.networks import load_network
-from repro.robot import (
-    AffineCurvature,
-    BallJoint,
-    ConstantCurvature,
-    FreeBody,
-    Imu,
-    Link,
-    Robot,
-    Sensor,
-    point_on,
-)
+from repro.parts import Imu, Sensor, Source
+from repro.robot import Robot
 
 _SI = {"mm": 1e-3, "deg": math.pi / 180, "percent": 1e-2}
 _PER_MT = {"mT": 1.0, "uT": 1e3, "nT": 1e6, "G": 10.0, "mG": 1e4}
@@ -40,14 +31,6 @@ _MISTAKEN = {"mm": {"metres": 1e3}, "mT": {"tesla": 1e3, "gauss": 0.1}, "deg": {
 _NEEDED: Any = object()
 _FORMATS = ("csv", "frames", "hall", "millivolts", "quaternions")
 _PARTS = ("segments", "magnets", "sensors", "imus")
-
-
-class Source(NamedTuple):
-    """The file that a robot was read from: its name, the hash of its content, and its table ``[stream]``."""
-
-    name: str
-    sha256: str
-    stream: Mapping[str, Any]
 
 
 class _Key(NamedTuple):
@@ -422,7 +405,7 @@ def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
     chain = [_segment(document, k) for k in n["segments"]]
     bare = Robot([one.segments[0] for one in chain])
     lower, upper, start = (
-        np.concatenate([getattr(one, x) for one in chain]) for x in ("lower", "upper", "start")
+        np.concatenate([vars(one)[x] for one in chain]) for x in ("lower", "upper", "start")
     )
     stated = any("start" in table for table in document.tables("segments"))
     units, unit = _word(*_PER_MT, "mV", "raw", default="mT"), str(top["stream"].get("unit", "mT"))
@@ -610,69 +593,3 @@ def _networks(document: _Document, folder: Path) -> list[Any]:
             raise document.error(("model", "networks"), "files in the folder of the robot file", name)
     with document.at("model", "networks"):
         return [load_network(folder / name) for name in names]
-
-
-_SCHEMA = 3
-_KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "before", "after", "model_error")
-"""What a calibration consists of beside the robot as described."""
-
-
-def calibration_text(found: Calibration) -> str:
-    """Return a calibration as the JSON that :func:`load_calibration` reads for the same robot file."""
-    source = found.described.source
-    expected = "of a robot that load_robot has read"
-    require(isinstance(source, Source), "calibration", "save", expected, "one of another robot")
-    content = {"schema": _SCHEMA, "robot": source.name, "robot_sha256": source.sha256}
-    content |= {name: np.asarray(getattr(found, name)).tolist() for name in _KEPT}
-    content["sha256"] = _own_hash(content)
-    return json.dumps(content, indent=1) + "\n"
-
-
-def _own_hash(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps({**content, "sha256": ""}, sort_keys=True).encode()).hexdigest()
-
-
-def load_calibration(path: str | Path, robot: Robot) -> Calibration:
-    """Read what a calibration found for a robot file.
-
-    Parameters
-    ----------
-    path
-        What :meth:`Calibration.save` wrote.
-    robot
-        From the robot file that was calibrated.
-
-    Raises
-    ------
-    InputError
-        If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
-    """
-    path, source = Path(path), robot.source
-    owner = path.name
-    require(path.is_file(), "calibration", "load_calibration", "a file that exists", path)
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-        same = content["schema"] == _SCHEMA and content["sha256"] == _own_hash(content)
-    except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise bad_input("file", owner, "JSON that Calibration.save wrote", error) from error
-    require(same, "sha256", owner, "the hash of a file as it was written, of schema 3", "another")
-    same = source is not None and content["robot_sha256"] == source.sha256
-    expected = f"made with {source.name if source else 'a robot file'} as it is now"
-    require(same, "robot_sha256", owner, expected, f"one made with {content['robot']!r}")
-    names, n = content["names"], len(content["names"])
-    estimate, tolerances = (numbers(content[name], name, owner, (n,)) for name in ("estimate", "tolerances"))
-    C = numbers(content["covariance"], "covariance", owner, (n, n))
-    known = (np.abs(estimate) <= _FARTHEST * tolerances).all()
-    require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
-    good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
-    require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
-    s = sum(sensor.axes for sensor in robot.sensors)
-    M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
-    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= -1e-9 * np.abs(M).max(
-        initial=0.0
-    )
-    require(good, "model_error", owner, "a covariance of readings", "another matrix")
-    rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
-    moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
-    deviation = np.sqrt(np.diag(C)) * tolerances
-    return Calibration(moved, robot, tuple(names), estimate, deviation, tolerances, C, **rest, model_error=M)

@@ -15,14 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from repro.chain import Frames, frames, turn
 from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
-from repro.robot import Chain, Robot, frames, turn
+from repro.parts import Assembly
 
 _MULTIPOLES, _NETWORKS, _OTHER = range(3)
 _VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
@@ -31,7 +32,7 @@ _VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
 class Tables(NamedTuple):
     """A robot and its field model as arrays for the kernels."""
 
-    chain: Chain
+    chain: Frames
     magnet_frame: Array
     magnet_place: Array
     """Position and axis of every magnet in its frame ``[m, 6]``."""
@@ -94,7 +95,7 @@ def unpack(ints, floats, weights):
     a += m * terms
     gain, offset, earth = floats[a : a + s], floats[a + s : a + 2 * s], floats[a + 2 * s :]
     return Tables(
-        Chain(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
+        Frames(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
         imu_rotation, moments, gain, offset, earth, ints[7], ints[8] == 1, ints[9], widths, network, weights,
     )  # fmt: skip
 
@@ -410,6 +411,15 @@ _NO_WEIGHTS = np.zeros((0, 0), dtype=np.float32)
 _FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
 
 
+@runtime_checkable
+class Linearised(Protocol):
+    """A model that gives its slopes, too."""
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        """Return values, and their slopes by ``x``."""
+        ...
+
+
 class Sensing:
     """Sensor model ``u = sensing(q)`` of a robot: its magnetic sensors and its IMUs.
 
@@ -457,7 +467,7 @@ class Sensing:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Assembly,
         model: _FieldModel = None,
         *,
         inputs: str = "cosines",
@@ -491,7 +501,7 @@ class Sensing:
             require(np.any(along), "earth", owner, "a direction", earth)
             along = along / np.linalg.norm(along)
         places = [part.place for part in (*robot.magnets, *robot.sensors, *robot.imus)]
-        chain, frame = robot.chain(places)
+        chain, frame = robot.frames(places)
         rows = [
             (frame[n_m + j], np.concatenate([sensor.place.position, sensor.place.rotation[:, axis]]))
             for j, sensor in enumerate(robot.sensors)
@@ -656,9 +666,9 @@ class Sensing:
 
     def _model_slopes(self, xi: Array) -> tuple[Array, Array]:
         """Readings and slopes by the relations: the model's own, else by central differences."""
-        own = getattr(self.model, "linearise", None)
-        if own is not None:
-            u, slopes = own(xi)
+        model: Any = self.model
+        if isinstance(model, Linearised):
+            u, slopes = model.linearise(xi)
             return np.asarray(u, dtype=float), np.ascontiguousarray(slopes, dtype=float)
         slopes = np.empty_like(xi)
         for c in range(xi.shape[-1]):
@@ -668,7 +678,14 @@ class Sensing:
         return self._modelled(xi), slopes
 
 
-def relations(robot: Robot, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
+def sensing_of(robot: Assembly) -> Sensing:
+    """Return the sensor model of a robot, with the gain and offset of every sensor and the Earth's field."""
+    n = sum(sensor.axes for sensor in robot.sensors)
+    gain, offset = (robot.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
+    return Sensing(robot, robot.model, moments=robot.moments, gain=gain, offset=offset, earth=robot.earth)
+
+
+def relations(robot: Assembly, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
     r"""Return the relations between all sensors and magnets of a robot, eqs (3) to (7) of Baaij et al. 2023.
 
     Parameters

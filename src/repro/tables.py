@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.common import Array, bad_input, printable, require
-from repro.robot import Robot, Sensor
+from repro.parts import Assembly, Sensor
 
 _TO_MT = {"T": 1e3, "mT": 1.0, "uT": 1e-3, "nT": 1e-6, "G": 0.1, "gauss": 0.1, "mG": 1e-4}
 SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
@@ -509,7 +509,7 @@ class Columns(NamedTuple):
     quaternions: list[list[int]]
 
 
-def read_readings(robot: Robot, source: Any) -> Readings:
+def read_readings(robot: Assembly, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     table = read_table(source)
     remarks, infinite = list(table.remarks), np.isinf(table.values)
@@ -523,7 +523,7 @@ def read_readings(robot: Robot, source: Any) -> Readings:
     return readings
 
 
-def columns_of(robot: Robot, table: Table, remarks: list[str]) -> Columns:
+def columns_of(robot: Assembly, table: Table, remarks: list[str]) -> Columns:
     """Return where the readings of a robot stand; refuse a table without one of them, or with one of them twice."""
     axes = [(sensor, k) for sensor in robot.sensors for k in range(sensor.axes)]
     unnamed = sum(map(bool, map(_UNNAMED.fullmatch, table.columns)))
@@ -550,7 +550,7 @@ def columns_of(robot: Robot, table: Table, remarks: list[str]) -> Columns:
     return Columns(used, np.array(factors), quaternions)
 
 
-def rows_of(robot: Robot, columns: Columns, values: Array) -> tuple[Array, Array]:
+def rows_of(robot: Assembly, columns: Columns, values: Array) -> tuple[Array, Array]:
     """Return the readings of rows ``[t, s]``, each by itself, and how many are there or missing for what reason.
 
     The counts ``[4, s]`` are in the order of :meth:`repro.Robot.missing`. Those of several blocks of rows add up.
@@ -565,7 +565,7 @@ def rows_of(robot: Robot, columns: Columns, values: Array) -> tuple[Array, Array
     return u, (why == np.arange(4)[:, None, None]).sum(1)
 
 
-def losses(robot: Robot, counts: Array) -> list[str]:
+def losses(robot: Assembly, counts: Array) -> list[str]:
     """Return a sentence for each kind of reading that is missing, by counts ``[4, s]``."""
     found, of, n = [], int(counts[:, :1].sum()), sum(sensor.axes for sensor in robot.sensors)
     _, nothing, at_end, all_zero = counts.tolist()
@@ -578,7 +578,7 @@ def losses(robot: Robot, counts: Array) -> list[str]:
     return found
 
 
-def check_orientations(robot: Robot, columns: Columns, table: Table) -> None:
+def check_orientations(robot: Assembly, columns: Columns, table: Table) -> None:
     """Refuse quaternions that are none, or whose numbers seem to be in another order."""
     from scipy.spatial.transform import Rotation
 
@@ -658,7 +658,7 @@ def _rotation_vectors(q: Array, world: Any) -> Array:
     return turns
 
 
-def configurations_of(robot: Robot, table: Table) -> Array:
+def configurations_of(robot: Assembly, table: Table) -> Array:
     """Return the configurations ``[t, n_q]`` [m, rad] that the columns of a table state, NaN where one is missing."""
     q = np.zeros((len(table.values), robot.n_q))
     for c, name in enumerate(robot.coordinates):

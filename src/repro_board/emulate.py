@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
-from repro.estimators.calibration import Tolerances, _priors, placed
+from repro.tolerances import Tolerances, placed, priors_of
 from repro_board.wire import encode, text_line
 
 SPEED = 0.5
@@ -228,7 +228,7 @@ def built(robot: Robot, tolerances: float, *, seed: int = 0) -> Robot:
     require(fits, "tolerances", "emulate", "0 or more, and 0 for a robot of networks", tolerances)
     if not tolerances or not robot.magnets:
         return robot
-    stds = {name: std for name, std in _priors(robot, Tolerances()).items() if "moment" not in name}
+    stds = {name: std for name, std in priors_of(robot, Tolerances()).items() if "moment" not in name}
     stds["material"] = Tolerances().moments
     z = tolerances * np.random.default_rng([seed, 1]).standard_normal(len(stds))
     off = dict(zip(stds, z * list(stds.values()), strict=True))

@@ -22,15 +22,17 @@ from scipy.stats import chi2 as chi_square
 
 from repro.check import mirrors_in_words
 from repro.common import Array, bad_input, numbers, require, whole
-from repro.estimators.base import Trajectory, track
-from repro.estimators.calibration import Calibration, Tolerances, calibrate, placed
+from repro.estimators.calibration import Calibration, calibrate, calibration_text, load_calibration
 from repro.estimators.drift import Drift, Drifting, DriftModel
 from repro.estimators.kalman import KalmanFilter
-from repro.estimators.kalman import smooth as smoothed
 from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.track import smooth as smoothed
+from repro.estimators.track import track
+from repro.estimators.trajectory import Trajectory
 from repro.robot import Robot
-from repro.robot_file import calibration_text, load_calibration, load_robot
+from repro.robot_file import load_robot
 from repro.tables import read_table
+from repro.tolerances import Tolerances, placed
 
 ESTIMATORS = ("levenberg_marquardt", "kalman")
 """Those that a monitor watches."""

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from repro.common import Array, InputError, require, whole
-from repro.estimators.base import Estimate, NearMagnets, evenly, trajectory
+from repro.estimators.base import Estimate, NearMagnets, evenly
 from repro.estimators.monitor import (
     BEYOND_BOUNDS,
     FROZEN,
@@ -35,6 +35,7 @@ from repro.estimators.monitor import (
     UNDETERMINED,
     Monitor,
 )
+from repro.estimators.trajectory import trajectory
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping
@@ -497,7 +498,8 @@ def live(
     from rich.live import Live
     from rich.text import Text
 
-    from repro.robot_file import load_calibration, load_robot
+    from repro.estimators.calibration import load_calibration
+    from repro.robot_file import load_robot
 
     require(duration_s > 0, "duration", "live", "above zero [s]", duration_s)
     for name, path in (("output", output), ("estimates", estimates)):

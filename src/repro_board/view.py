@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import point_on
 from repro.common import Array, numbers, require
-from repro.robot import Robot, point_on
+from repro.robot import Robot
 
 VIEWER = Path(__file__).with_name("page") / "vendor" / "shape_viewer.js"
 MOST_FRAMES, POINTS = 300, 9

@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 
 import repro
-from repro.robot_file import load_calibration
+from repro.estimators.calibration import load_calibration
 from repro_board import emulate
 from repro_board.cli import main
 from repro_board.evaluate import calibrate_files, track_file

@@ -26,7 +26,7 @@ from repro import (
     load_robot,
     simulated_readings,
 )
-from repro.robot_file import Source
+from repro.parts import Source
 from repro_board.emulate import (
     FAULTS,
     MOVE_S,

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import repro
 from repro import InputError
-from repro.estimators.base import Trajectory
-from repro.estimators.calibration import Calibration, placed
+from repro.estimators.calibration import Calibration
+from repro.estimators.trajectory import Trajectory
+from repro.tolerances import placed
 from repro_board import evaluate
 from repro_board.cli import main
 from repro_board.evaluate import (

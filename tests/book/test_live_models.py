@@ -27,9 +27,9 @@ from repro import (
     Sensing,
     Sensor,
 )
+from repro.chain import point_on
 from repro.estimators.least_squares import CHI2
 from repro.estimators.particle import BendDisc, ParticleState, _points, _stream
-from repro.robot import point_on
 
 RELEASED, PUBLISHED = Ring(24e-3, 12e-3, 6e-3, 1450.0), Ring(12e-3, 6e-3, 6e-3, 1450.0)
 B444B = Cube(6.35e-3, 1320.0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import repro
-from repro.robot import point_on
+from repro.chain import point_on
 from repro.sensing import relations
 from repro_companion.papers import baaij
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from repro import GradientDescent, InputError, KalmanFilter, Sensing, track
-from repro.robot import place
+from repro.chain import place
 from repro_companion.papers import rig
 from repro_companion.show import published
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from repro import BendSensor, LevenbergMarquardt
-from repro.estimators.calibration import Tolerances
+from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, segment
 from repro_companion.papers.segment import LENGTH, MODULUS, RADIUS, SECTION
 

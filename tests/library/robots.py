@@ -21,7 +21,7 @@ from repro import (
     Robot,
     Sensor,
 )
-from repro.robot import point_on
+from repro.chain import point_on
 
 STORED = np.load(Path(__file__).parents[1] / "oracles" / "first_edition.npz")
 """What the first edition of this project answered, an implementation of its own by torch (commit 13f7d3e)."""

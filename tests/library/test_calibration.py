@@ -24,7 +24,7 @@ from repro import (
     example,
     load_robot,
 )
-from repro.estimators.calibration import Tolerances, _priors, _slopes, placed
+from repro.tolerances import Tolerances, placed, priors_of, slopes_of
 
 from .robots import RELEASED, STORED, bounds, paper_robot
 
@@ -44,7 +44,7 @@ def with_chip(**of_chip):
 
 def off(robot, rng, tolerances=None, size=1.0):
     """Parameters drawn from their tolerances, by name."""
-    priors = _priors(robot, tolerances or Tolerances())
+    priors = priors_of(robot, tolerances or Tolerances())
     return {name: size * std * rng.normal() for name, std in priors.items()}
 
 
@@ -61,9 +61,9 @@ def test_slopes_by_every_parameter_are_those_of_the_readings():
         magnets=[replace(part, tolerance=of_magnet) for part in robot.magnets],
         sensors=[*robot.sensors[:2], replace(robot.sensors[2], tolerance={"at": 1e-3})],
     )
-    scale = np.array(list(_priors(robot, STATED).values()))
+    scale = np.array(list(priors_of(robot, STATED).values()))
     there, q = off(robot, rng, STATED, 0.5), shapes(6, rng)
-    J = _slopes(robot, placed(robot, there).sensing(), there, q)
+    J = slopes_of(robot, placed(robot, there).sensing(), there, q)
     wanted = {
         "sensor 1 tilt about x",
         "sensor 1 tilt about z",
@@ -199,7 +199,7 @@ def test_a_part_moves_along_the_curve_and_beyond_its_end_straight_on():
 
 def test_a_chip_is_one_part_whose_axes_stay_at_right_angles():
     robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})
-    names = [name for name in _priors(robot, Tolerances()) if name.startswith("sensor 1")]
+    names = [name for name in priors_of(robot, Tolerances()) if name.startswith("sensor 1")]
     assert [name.removeprefix("sensor 1 ") for name in names] == [
         "azimuth", "radius", "tilt", "gain x", "gain y", "gain z", "tilt about x", "tilt about z", "x", "y", "along"
     ]  # fmt: skip
@@ -211,13 +211,13 @@ def test_a_chip_is_one_part_whose_axes_stay_at_right_angles():
 
 
 def test_tolerances_of_a_part_come_first_and_what_is_not_stated_is_as_ever():
-    usual = _priors(paper_robot(1), Tolerances())
+    usual = priors_of(paper_robot(1), Tolerances())
     assert len(usual) == 5 + 3 * 4 + 5
     own = {"radius": 2.6e-4, "azimuth": 0.01, "tilt": 0.05, "gain": 0.0, "offset": 0.1, "at": 1e-3}
     parts = paper_robot(1).sensors
     robot = paper_robot(1).replaced(sensors=[replace(parts[0], tolerance=own), *parts[1:]])
     robot = robot.replaced(magnets=[replace(robot.magnets[0], tolerance={"at": 2e-3})])
-    stated = _priors(robot, Tolerances())
+    stated = priors_of(robot, Tolerances())
     assert {name: std for name, std in stated.items() if usual.get(name) != std} == pytest.approx(
         {
             "magnet 1 along": 2e-3, "sensor 1 azimuth": 0.01, "sensor 1 radius": 0.02, "sensor 1 tilt": 0.05,
@@ -226,7 +226,7 @@ def test_tolerances_of_a_part_come_first_and_what_is_not_stated_is_as_ever():
     )  # fmt: skip
     assert usual.keys() - stated.keys() == {"sensor 1 gain"}
     on_plate = paper_robot(1).replaced(sensors=[replace(parts[0], tolerance={"position": 3e-4})])
-    stated = _priors(on_plate, Tolerances())
+    stated = priors_of(on_plate, Tolerances())
     there = {name for name in stated if name.startswith("sensor 1")}
     assert there == {f"sensor 1 {name}" for name in ("tilt", "gain", "x", "y", "z")}
     assert stated["sensor 1 x"] == 3e-4
@@ -235,7 +235,7 @@ def test_tolerances_of_a_part_come_first_and_what_is_not_stated_is_as_ever():
 def test_a_drawn_chip_is_off_in_every_turn_and_every_place_unless_its_file_says_otherwise():
     def stated(**tolerance):
         chip = Sensor(1, 0.11, axes=3, tolerance=tolerance)
-        priors = _priors(paper_robot(1).replaced(sensors=[chip]), Tolerances())
+        priors = priors_of(paper_robot(1).replaced(sensors=[chip]), Tolerances())
         return {
             name.removeprefix("sensor 1 "): std for name, std in priors.items() if name.startswith("sensor 1")
         }

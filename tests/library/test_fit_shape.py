@@ -18,8 +18,8 @@ from repro import (
     Magnet,
     Robot,
 )
+from repro.chain import point_on
 from repro.estimators.fit_shape import fit_shape
-from repro.robot import point_on
 
 from .robots import RELEASED, tips
 

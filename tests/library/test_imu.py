@@ -23,7 +23,7 @@ from repro import (
     pcc_extended,
     rigid_body,
 )
-from repro.robot import point_on
+from repro.chain import point_on
 
 MODELS = (pcc_extended, exact_arcs, rigid_body)
 UNEVEN = Arm([0, 1, 3, 4], [0.0, 0.08, 0.24, 0.32], [0.08, 0.16, 0.08], sub_segments=3)

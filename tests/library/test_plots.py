@@ -29,7 +29,7 @@ from repro import (
     simulated_readings,
     track,
 )
-from repro.estimators.base import Trajectory
+from repro.estimators.trajectory import Trajectory
 
 mpl.use("agg")
 

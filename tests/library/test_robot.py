@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from repro import AffineCurvature, BallJoint, ConstantCurvature, Imu, InputError, Link, Robot, Sensor
-from repro.robot import point_on
+from repro.chain import point_on
 
 from .robots import CHAINS, chain, complex_pose, configuration
 

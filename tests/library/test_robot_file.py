@@ -13,8 +13,8 @@ import pytest
 
 import repro
 from repro import InputError, calibrate, load_robot, simulated_readings
+from repro.estimators.calibration import _own_hash, load_calibration
 from repro.networks import load_network
-from repro.robot_file import _own_hash, load_calibration
 
 from .robots import STORED
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from repro import InputError, load_robot, robot_file
-from repro.estimators.calibration import Tolerances
+from repro.tolerances import Tolerances
 from repro_board.evaluate import TOLERANCES
 
 ROOT = Path(__file__).parents[2]

@@ -1,17 +1,16 @@
-"""One contract for all estimators, and the one loop that drives them."""
+"""One contract for all estimators, and what checks that they keep it."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from repro.angles import FreeAngles
-from repro.common import Array, array, bad_input, is_table, numbers, require, say_that_kernels_compile
-from repro.robot import Robot
+from repro.common import Array, array, bad_input, numbers, require, say_that_kernels_compile
+from repro.parts import Assembly
+from repro.sensing import Linearised, sensing_of
 
 
 class Estimate(NamedTuple):
@@ -73,13 +72,20 @@ class Estimator(Protocol):
 
 
 @runtime_checkable
+class OfRobot(Protocol):
+    """What knows its robot: a sensor model, or an estimator that reads tables by the names of the robot's sensors."""
+
+    robot: Assembly | None
+
+
+@runtime_checkable
 class Watched(Estimator, Protocol):
     """What an estimator offers beside ``init`` and ``step`` for a :class:`.Monitor` to watch it.
 
     Its estimates report ``chi2`` and ``dof``, and it takes batches and readings that are NaN.
     """
 
-    robot: Any
+    robot: Assembly | None
     """Whose shape it estimates, if known."""
     n_q: int
     """Number of coordinates."""
@@ -102,309 +108,8 @@ class Watched(Estimator, Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """Estimates over time: the fields of :class:`Estimate` with a leading dimension of time.
-
-    Parameters
-    ----------
-    times
-        Time of each row [s].
-    q, covariance, u_hat, chi2, dof
-        As in :class:`Estimate`.
-    missing
-        Number of readings that are missing. With a monitor it also counts those that were left out.
-    details
-        More about the estimates, by name. With a monitor, ``left_out`` ``[t, ..., s]`` marks the readings that were
-        left out, and ``growth`` is the factor by which the covariance grew.
-    status
-        What the monitor says of each row: *consistent*; *left out*: the readings of a part do not fit and were left
-        out, the rest fits; *inconsistent*: they do not fit, and it is not decided why; *frozen*: the board repeats
-        itself; *undetermined*: fewer readings than unknowns; *unchecked*: the fit uses up all readings, so that none
-        can contradict; *beyond bounds*: they fit outside the robot's bounds only. ``None`` without a monitor.
-    suspects
-        Parts that the monitor names ``[t, ..., parts]``, as ``robot.part_names``; without a robot every reading is a
-        part of its own.
-    readings
-        What was read ``[t, ..., s]``, if known.
-    robot
-        Whose shape it is, if known: it names coordinates and readings.
-
-    Examples
-    --------
-    >>> Trajectory(np.arange(7.0), np.zeros((7, 3)), None, np.zeros((7, 8)), np.zeros(7), np.zeros(7), np.zeros(7))
-    Trajectory of 7 time steps over 6 s, 3 coordinates, 8 readings
-    chi-square per degree of freedom: not stated
-    0 of 56 readings missing
-    """
-
-    times: Array
-    q: Array
-    covariance: Array | None
-    u_hat: Array
-    chi2: Array
-    dof: Array
-    missing: Array
-    details: dict[str, Array] = field(default_factory=dict)
-    status: Array | None = None
-    suspects: Array | None = None
-    readings: Array | None = None
-    robot: Any = None
-
-    def __repr__(self) -> str:
-        """Return three lines."""
-        n, s = self.q.shape[-1], self.u_hat.shape[-1]
-        span = f"{self.times[-1] - self.times[0]:g} s"
-        fits = True if self.status is None else np.isin(self.status, _FITTING)  # one bad row spoils any mean
-        free, chi2 = np.sum(self.dof, where=fits), np.sum(self.chi2, where=fits)
-        fit = f"{chi2 / free:.3g}" if free and np.isfinite(chi2) else "not stated"
-        counts = {} if self.status is None else Counter(self.status.ravel().tolist())
-        rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
-        if self.suspects is not None and self.suspects.any():
-            n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
-            rows += f"; suspects: {_counted(self._parts(), n_suspect)}"
-        near = self.details.get("too_near")
-        if near is not None and near.any() and self.robot is not None:
-            by_reading = near.reshape(-1, near.shape[-1]).sum(0)
-            first = np.unique(self.robot.parts, return_index=True)[1]
-            rows += f"; left out, too close to a magnet: {_counted(self.robot.part_names, by_reading[first])}"
-        touched = self.at_bounds()
-        rows += f"; at a bound: {_counted(touched, touched.values())}" if touched else ""
-        left = int(np.sum(self.details.get("left_out", 0)))
-        lost = f"{int(np.sum(self.missing)) - left} of {self.u_hat.size} readings missing"
-        return (
-            f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
-            f"chi-square per degree of freedom: {fit}\n"
-            f"{lost}{f', {left} left out' * (left > 0)}{rows}"
-        )
-
-    def at_bounds(self) -> dict[str, int]:
-        """Return the coordinates that touch a bound of the robot, and in how many rows."""
-        touched = self._at_bound()
-        if touched is None:
-            return {}
-        counts = touched.reshape(-1, touched.shape[-1]).sum(0).tolist()
-        return {name: n for (name, _, _), n in zip(self.units(), counts, strict=True) if n}
-
-    def _at_bound(self) -> Array | None:
-        """Which coordinates touch a bound ``[t, ..., n_q]``, if the estimator says so."""
-        touched = self.details.get("at_bound")
-        return touched if touched is not None and touched.shape == self.q.shape else None
-
-    def _parts(self) -> Sequence[str]:
-        """Return names of what the monitor may suspect."""
-        suspects: Any = self.suspects
-        if self.robot is not None and len(self.robot.part_names) == suspects.shape[-1]:
-            return self.robot.part_names
-        return [f"u{k}" for k in range(1, suspects.shape[-1] + 1)]
-
-    def units(self) -> list[tuple[str, str, float]]:
-        """Return name, unit in tables and pictures, and factor to it of every coordinate."""
-        if self.robot is None or self.robot.n_q != self.q.shape[-1]:
-            return [(f"q_{k}", "", 1.0) for k in range(1, self.q.shape[-1] + 1)]
-        units = {"kappa": ("rad", 1.0), "phi": ("deg", np.degrees(1.0)), "rotation": ("deg", np.degrees(1.0))}
-        return [(name, *units.get(name.split("_")[0], ("mm", 1e3))) for name in self.robot.coordinates]
-
-    def to_frame(self) -> Any:
-        """Return a data frame with names and units: ``time_s``, coordinates, tip, deviations, fit, status, suspects.
-
-        The last column names the coordinates that touch a bound of the robot.
-
-        A coordinate such as ``delta_x_1_mm`` has the standard deviation ``delta_x_1_sd_mm``. The tip is in the base
-        frame: ``tip_x_mm`` and so on.
-
-        Raises
-        ------
-        InputError
-            If these are several robots at a time.
-        """
-        import pandas as pd
-
-        require(self.q.ndim == 2, "shape", "to_frame", "of one robot", f"estimates of shape {self.q.shape}")
-        columns: dict[str, Array] = {"time_s": self.times}
-
-        def add(units: list[tuple[str, str, float]], values: Array, C: Array | None) -> None:
-            names = [(name, f"_{unit}" if unit else "") for name, unit, _ in units]
-            factor = np.array([factor for _, _, factor in units])
-            columns.update(zip([name + unit for name, unit in names], (values * factor).T, strict=True))
-            if C is not None:
-                std = np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0)) * factor
-                columns.update(zip([f"{name}_sd{unit}" for name, unit in names], std.T, strict=True))
-
-        add(self.units(), self.q, self.covariance)
-        if self.robot is not None and self.robot.n_q == self.q.shape[-1]:
-            known: Any = np.isfinite(self.q).all(-1)
-            p, G = self.robot.tip_slopes(np.where(known[:, None], self.q, 0.0))
-            p[~known], C = np.nan, None
-            if self.covariance is not None:
-                C = G @ np.where(known[:, None, None], self.covariance, 0.0) @ np.swapaxes(G, 1, 2)
-                C[~known] = np.nan
-            add([(f"tip_{axis}", "mm", 1e3) for axis in "xyz"], p, C)
-        columns |= {"chi2": self.chi2, "dof": self.dof, "missing": self.missing}
-        if self.status is not None:
-            columns["status"] = self.status
-        if self.suspects is not None:
-            columns["suspects"] = _listed(self._parts(), self.suspects)
-        touched = self._at_bound()
-        if touched is not None:
-            columns["at_bound"] = _listed([name for name, _, _ in self.units()], touched)
-        return pd.DataFrame(columns)
-
-    def plot(self, axes: Any = None) -> Any:
-        """Draw coordinates with their 95 % band, readings and residuals over time, and what is suspected.
-
-        Parameters
-        ----------
-        axes
-            As many matplotlib axes as there are panels, one for each unit of coordinates and two for readings; new
-            ones if not given.
-
-        Returns
-        -------
-        numpy.ndarray
-            The axes.
-        """
-        from repro.plots import plot_shape
-
-        return plot_shape(self, axes)
-
-
-_FITTING = ("consistent", "left out", "unchecked")
-"""What the monitor says of rows whose readings fit, by name."""
 _SHAPES = 256
 """Shapes within the bounds at which we look whether a reading comes too close to a magnet."""
-
-
-def _counted(names: Iterable[str], counts: Iterable[int]) -> str:
-    return ", ".join(f"{name} in {k} rows" for name, k in zip(names, counts, strict=True) if k)
-
-
-def _listed(names: Sequence[str], marks: Array) -> Array:
-    """Return the names that are marked ``[t, n]`` in every row, as a text."""
-    return np.array([", ".join(n for n, mark in zip(names, row, strict=True) if mark) for row in marks])
-
-
-def track(
-    estimator: Estimator,
-    readings: Any,
-    q0: Any = None,
-    *,
-    times: Any = None,
-    rate_hz: float | None = None,
-    seed: int = 0,
-    mask: Any = None,
-    known: Any = None,
-    progress: str | None = None,
-    monitor: str | None = "auto",
-) -> Trajectory:
-    """Run an estimator over recorded readings.
-
-    Parameters
-    ----------
-    estimator
-        Any estimator.
-    readings
-        One row per time step ``[t, ..., s]``; NaN for a missing reading. If the estimator knows its robot, also a
-        data frame with names or the path of a table, as :meth:`repro.Robot.readings` takes them, and what
-        :meth:`repro.Robot.missing` names is missing, too.
-    q0
-        Where the estimator starts ``[..., n_q]``; its own choice if not given.
-    times
-        Time of each row [s], increasing; that of the table if not given.
-    rate_hz
-        Rows per second, where there are no times; that of the robot if not given. Filters need one of the two.
-    seed
-        For estimators that draw random numbers.
-    mask, known
-        As in :class:`Estimator`, with a leading dimension of time.
-    progress
-        Label of a progress bar; none if not given.
-    monitor
-        ``"auto"``: with least squares, Kalman and rod filters a monitor watches for sensors that fail; see ``status``
-        of a :class:`Trajectory`. ``None``: nobody does.
-
-    Raises
-    ------
-    InputError
-        If there are no readings, or times, masks or known coordinates do not fit them.
-
-    Examples
-    --------
-    >>> from repro import LevenbergMarquardt, track
-    >>> root = LevenbergMarquardt(lambda q: q**2, lower=[0.0], upper=[2.0], noise=0.01)
-    >>> track(root, [[0.25], [1.0], [2.25]]).q.ravel().round(6)
-    array([0.5, 1. , 1.5])
-    """
-    return run(
-        estimator, readings, q0, times=times, rate_hz=rate_hz, seed=seed, mask=mask, known=known,
-        progress=progress, monitor=monitor,
-    )[0]  # fmt: skip
-
-
-def run(
-    estimator: Estimator,
-    readings: Any,
-    q0: Any,
-    *,
-    times: Any,
-    rate_hz: float | None,
-    seed: int,
-    mask: Any,
-    known: Any,
-    progress: str | None,
-    monitor: str | None,
-    owner: str = "track",
-) -> tuple[Trajectory, list[Any]]:
-    """Return the estimates and the states: the loop of ``track`` and of ``smooth``."""
-    require(isinstance(estimator, Estimator), "estimator", owner, "an estimator", type(estimator).__name__)
-    require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
-    robot = getattr(estimator, "robot", None) or getattr(getattr(estimator, "model", None), "robot", None)
-    if robot is not None and is_table(readings):
-        readings = robot.readings(readings)
-    if times is None and rate_hz is None:
-        times, rate_hz = getattr(readings, "times", None), getattr(robot, "rate_hz", None)
-        index = getattr(
-            getattr(readings, "index", None), "dtype", np.dtype(int)
-        )  # of a data frame without names
-        lost = times is None and (index.kind in "fmM" or getattr(readings, "without_times", False))
-        words = "given, one of the two: after what was done to the readings their own times are not known"
-        require(not lost, "times, rate_hz", owner, words, "neither")
-    rows = numbers(readings, "readings", owner, finite=False)
-    if robot is not None and rows.shape[-1:] == (robot.n_readings,):
-        rows = np.where(robot.missing(rows) > 0, np.nan, rows)
-    else:
-        rows = np.where(np.abs(rows) < 1e100, rows, np.nan)  # no sensor can tell more
-    require(rows.ndim >= 2 and len(rows), "readings", owner, "of shape (t, ..., s)", f"shape {rows.shape}")
-    at = _times(len(rows), times, rate_hz, owner, needed=getattr(estimator, "needs_time", False))
-    per_row: dict[str, Any] = {"mask": mask, "known": known}
-    for name, values in per_row.items():
-        if values is not None:
-            per_row[name] = values = array(values, name, owner)
-            words = f"one row for each of {len(rows)} time steps"
-            require(values.ndim and len(values) == len(rows), name, owner, words, f"shape {values.shape}")
-    from repro.estimators.monitor import Monitor
-
-    method: Any = estimator
-    if monitor is not None and isinstance(estimator, Watched):  # not the estimators of papers
-        method = Monitor(estimator)
-    state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
-    states, estimates, hidden = [], [], []
-    for k in _with_bar(len(rows), progress):
-        given = {name: values[k] for name, values in per_row.items() if values is not None}
-        row = rows[k]
-        if near is not None:
-            hidden.append(near.readings())
-            row = np.where(hidden[-1], np.nan, row)
-        state, estimate = method.step(state, row, float(at[k]), **given)
-        if near is not None:
-            near.q = estimate.q
-        states.append(state.inner if isinstance(method, Monitor) else state)
-        estimates.append(estimate)
-    watch = method if isinstance(method, Monitor) else None
-    found = trajectory(at, rows, estimates, robot, watch, per_row["mask"])
-    if near is not None:
-        found.details["too_near"] = np.array(hidden)
-    return found, states
 
 
 class NearMagnets:
@@ -417,13 +122,13 @@ class NearMagnets:
         self.sensing, self.q = sensing, q
 
     @classmethod
-    def of(cls, robot: Robot | None, n_readings: int, q0: Any = None) -> NearMagnets | None:
+    def of(cls, robot: Assembly | None, n_readings: int, q0: Any = None) -> NearMagnets | None:
         """Return it for a robot, or nothing if no reading comes so close within the bounds."""
         if robot is None or robot.lower is None or robot.upper is None or n_readings != robot.n_readings:
             return None
         if robot.model is not None or not robot.magnets:
             return None
-        sensing, middle = robot.sensing(), (robot.lower + robot.upper) / 2
+        sensing, middle = sensing_of(robot), (robot.lower + robot.upper) / 2
         if not sensing.too_near(evenly(robot.lower, robot.upper, _SHAPES)).any():
             return None
         given = q0 if q0 is not None else robot.start if robot.start is not None else middle
@@ -432,59 +137,6 @@ class NearMagnets:
     def readings(self) -> Array:
         """Return which readings to leave out ``[..., s]``."""
         return self.sensing.too_near(np.nan_to_num(self.q))
-
-
-def trajectory(
-    at: Any, readings: Any, estimates: Sequence[Estimate], robot: Any, monitor: Any, mask: Any = None
-) -> Trajectory:
-    """Put estimates of rows together, with what a monitor said of them."""
-    from repro.estimators.monitor import SAID, STATUS
-
-    q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
-    own = [name for name in rest[0] if monitor is None or name not in SAID]
-    details = {name: np.array([row[name] for row in rest]) for name in own}
-    if monitor is not None:  # a frame that comes again adds nothing to a filter, and is there all the same
-        details |= monitor.stacked(rest)
-        there = np.isfinite(readings) & (True if mask is None else mask)
-        details["left_out"] = details["left_out"] & there
-        missing = (~there | details["left_out"]).sum(-1)
-    return Trajectory(
-        np.array(at),
-        np.array(q),
-        None if covariance[0] is None else np.array(covariance),
-        np.array(u_hat),
-        np.array(chi2),
-        np.array(dof),
-        np.array(missing),
-        details,
-        None if monitor is None else np.array(STATUS)[details.pop("status")],
-        details.pop("suspects", None),
-        np.array(readings),
-        robot,
-    )
-
-
-def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:
-    if times is not None:
-        at = numbers(times, "times", owner, (n,))
-        late = np.flatnonzero(np.diff(at) <= 0)
-        if len(late):
-            k = late[0]
-            raise bad_input("times", owner, "increasing [s]", f"{at[k + 1]} after {at[k]} in row {k + 1}")
-        return at
-    if rate_hz is None and needed:
-        raise bad_input("times, rate_hz", owner, "given for a filter, one of the two", "neither")
-    rate = 1.0 if rate_hz is None else rate_hz
-    require(0 < numbers(rate, "rate_hz", owner, ()) < np.inf, "rate_hz", owner, "positive", rate)
-    return np.arange(n) / rate
-
-
-def _with_bar(n: int, label: str | None) -> Any:
-    if label is None:
-        return range(n)
-    from rich.progress import track as bar
-
-    return bar(range(n), description=label)
 
 
 def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
@@ -509,6 +161,11 @@ def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
     return u
 
 
+def robot_of(x: Any) -> Assembly | None:
+    """Return the robot of a sensor model or an estimator, if it knows one."""
+    return x.robot if isinstance(x, OfRobot) and isinstance(x.robot, Assembly) else None
+
+
 def start(q0: Any, n_q: int, owner: str) -> Array:
     """Return a start configuration ``[..., n_q]`` as float64, or refuse it."""
     return numbers(q0, "q0", owner, (..., n_q))
@@ -516,7 +173,7 @@ def start(q0: Any, n_q: int, owner: str) -> Array:
 
 def described(
     sensing: Any, lower: Any, upper: Any, noise: Any, owner: str
-) -> tuple[Robot | None, Any, Any, Any, Any]:
+) -> tuple[Assembly | None, Any, Any, Any, Any]:
     """Return the robot behind a sensor model if there is one, the model, and what is not given as the robot has it.
 
     Raises
@@ -524,17 +181,17 @@ def described(
     InputError
         If bounds or noise are neither given nor stated by a robot.
     """
-    robot = sensing if isinstance(sensing, Robot) else getattr(sensing, "robot", None)
-    robot = getattr(getattr(sensing, "sensing", None), "robot", robot)  # of errors that wander
-    if isinstance(sensing, Robot):
-        require(sensing.n_q, "robot", owner, "one with a coordinate", "none")
-        sensing = sensing.sensing()
+    if isinstance(sensing, Assembly):
+        robot = sensing
+        require(robot.n_q, "robot", owner, "one with a coordinate", "none")
+        sensing = sensing_of(robot)
+    else:
+        robot = robot_of(sensing)
+    stated = (None, None, None) if robot is None else (robot.lower, robot.upper, robot.total_noise)
     found = []
-    for name, value in (("lower", lower), ("upper", upper), ("noise", noise)):
-        stated = "total_noise" if name == "noise" else name
-        value = getattr(robot, stated, None) if value is None else value
-        found.append(value)
-        require(value is not None, name, owner, "given, or stated by the robot", "neither")
+    for name, value, own in zip(("lower", "upper", "noise"), (lower, upper, noise), stated, strict=True):
+        found.append(own if value is None else value)
+        require(found[-1] is not None, name, owner, "given, or stated by the robot", "neither")
     return robot, sensing, *found
 
 
@@ -600,7 +257,7 @@ class CallableModel:
         single = [self._one(q) for q in nearby]
         self.n_readings = len(single[0])
         self.batched = self._matches(sensing, nearby, np.stack(single))
-        self._slopes = getattr(sensing, "linearise", None)
+        self._slopes = sensing.linearise if isinstance(sensing, Linearised) else None
         turned = nearby + 1e-20j * self._step
         self.complex = self._slopes is None and self._matches(
             lambda q: np.imag(self._called(q, complex)) / 1e-20,
@@ -686,7 +343,7 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
     return CallableModel(sensing, (lower + upper) / 2, width, owner)
 
 
-def parts_of(robot: Robot | None, noise: Any, n_readings: int) -> tuple[Array, Array]:
+def parts_of(robot: Assembly | None, noise: Any, n_readings: int) -> tuple[Array, Array]:
     """Return which part every reading belongs to, and which never stay the same: their noise is above their step."""
     if robot is None or robot.n_readings != n_readings:
         return np.arange(n_readings), np.ones(n_readings, dtype=bool)

@@ -16,20 +16,23 @@ with the covariance :math:`(I - K_i C K_i^T)^{-1}`.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
-from typing import Any
+from pathlib import Path
+from typing import Any, Generic
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
 from repro.estimators.base import information_of_bounds
-from repro.robot import Place, Robot, point_on
-from repro.sensing import Sensing
-from repro.tables import configurations_of, read_table
+from repro.parts import Assembly, Source
+from repro.sensing import Sensing, sensing_of
+from repro.tables import Readings, configurations_of, read_readings, read_table
+from repro.tolerances import Described, Tolerances, placed, priors_of, slopes_of
 
 _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 """By how many of its standard deviations a pose may be off what the others predict, most of them, and any of them in
@@ -42,73 +45,13 @@ _CAUSES = (
 )
 _CHANCE = 3.0
 """By how many of its standard deviations the mean square of left-out poses may exceed what is expected, by chance."""
-_ITERATIONS, _DAMPING, _STEP = 50, 1e-3, 1e-6
+_ITERATIONS, _DAMPING = 50, 1e-3
 """Number of steps, of which six are enough as a rule; damping of Levenberg and Marquardt, where a step leads to a
-worse robot; step of central differences, in every unit."""
-_MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
-_SENSOR = ("azimuth", "radius", "tilt")
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """How far a robot may be from its drawing: standard deviations. What a part states of its own comes first.
-
-    A part may state more than these: place along the backbone, tilt of a sensor about all axes, size of a magnet.
-
-    Parameters
-    ----------
-    magnet_position
-        Centre of a magnet along each axis of its mount [m].
-    magnet_tilt
-        Tilt of a magnet about each transverse axis [rad].
-    sensor_azimuth
-        Azimuth of a sensor [rad].
-    sensor_radius
-        Its distance from the backbone, relative.
-    sensor_tilt
-        Its tilt about the tangential direction [rad]; of a chip with three axes about each of its axes.
-    sensor_gain
-        Gain of each of its axes, relative.
-    moments
-        Every multipole moment, relative; magnets of one shape share it.
-    chip_position
-        Place of a chip with three axes along each axis of the cross-section and along the backbone [m]. Azimuth and
-        radius say nothing of a chip on the backbone.
-    sensor_offset
-        Reading of a sensor without a field [mT]. Zero: as stated.
-    earth
-        Field of the Earth along each axis of the base [mT]. Zero: as stated.
-
-    Raises
-    ------
-    InputError
-        If one of the first eight is not positive, or another one is negative.
-
-    Examples
-    --------
-    >>> Tolerances(magnet_position=1e-3).magnet_tilt == math.radians(2.0)
-    True
-    """
-
-    magnet_position: float = 0.5e-3
-    magnet_tilt: float = math.radians(2.0)
-    sensor_azimuth: float = 0.01 * 2 * math.pi
-    sensor_radius: float = 0.01
-    sensor_tilt: float = math.radians(1.0)
-    sensor_gain: float = 0.01
-    moments: float = 0.02
-    chip_position: float = 0.3e-3
-    sensor_offset: float = 0.0
-    earth: float = 0.0
-
-    def __post_init__(self) -> None:
-        values = list(asdict(self).values())
-        good = all(0 < x < math.inf for x in values[:8]) and all(0 <= x < math.inf for x in values[8:])
-        require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
+worse robot."""
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration:
+class Calibration(Generic[Described]):
     """A calibrated robot, and how well it is known.
 
     The robot as described and the plain numbers of ``names``, ``estimate``, ``tolerances``, ``covariance``, ``chi2``,
@@ -144,8 +87,8 @@ class Calibration:
         parameters explain ``[s, s]`` [mT²]: no parameter describes it. Zero if it is within chance.
     """
 
-    robot: Robot
-    described: Robot
+    robot: Described
+    described: Described
     names: tuple[str, ...]
     estimate: Array
     deviation: Array
@@ -174,7 +117,7 @@ class Calibration:
 
     def sensing(self) -> Sensing:
         """Return the sensor model of the calibrated robot."""
-        return self.robot.sensing()
+        return sensing_of(self.robot)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a calibration of a robot from a file, for ``repro.load_robot(robot_file, path)``.
@@ -184,8 +127,6 @@ class Calibration:
         InputError
             If the robot does not come from a file.
         """
-        from repro.robot_file import calibration_text
-
         text = calibration_text(self)
         with whole(path, "save", new=False) as part:
             part.write_text(text, encoding="utf-8")
@@ -213,7 +154,9 @@ class Calibration:
         sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
         n = sensing.n_magnetic
         K = np.zeros((*H.shape[:-1], len(self.names)))
-        K[..., :n, :] = _slopes(self.described, sensing, parameters, self.robot.check_q(q)) * self.tolerances
+        K[..., :n, :] = (
+            slopes_of(self.described, sensing, parameters, self.robot.check_q(q)) * self.tolerances
+        )
         E = K @ self.covariance @ np.swapaxes(K, -1, -2)
         E[..., :n, :n] += self.model_error
         G = C @ np.swapaxes(H, -1, -2) / std
@@ -233,7 +176,7 @@ class Calibration:
 
 
 def calibrate(
-    robot: Robot,
+    robot: Described,
     q: Any,
     u: Any,
     noise: Any = None,
@@ -242,7 +185,7 @@ def calibrate(
     tolerances: Tolerances | None = None,
     earth: Any = None,
     rows: Sequence[str] | None = None,
-) -> Calibration:
+) -> Calibration[Described]:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
 
     Parameters
@@ -293,7 +236,7 @@ def calibrate(
     )
     if earth is not None:
         robot = robot.replaced(earth=earth)
-    robot = robot.replaced(moments=robot.sensing().moments, source=robot.source)
+    robot = robot.replaced(moments=sensing_of(robot).moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     n = described.n_readings
     at = None
@@ -305,8 +248,8 @@ def calibrate(
             raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
     q = numbers(q, "q", owner, (None, robot.n_q))
     require(len(q), "q", owner, "at least one pose", "none")
-    u = robot.readings(u) if is_table(u) else u
-    since = getattr(u, "times", None)
+    u = read_readings(robot, u) if is_table(u) else u
+    since = u.times if isinstance(u, Readings) else None
     if at is not None and since is not None and len(at) == len(since):
         apart = float(np.abs(at - since).max())
         require(
@@ -317,7 +260,7 @@ def calibrate(
             f"times up to {apart:.3g} s off",
         )
     u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
-    near = described.sensing().too_near(q)
+    near = sensing_of(described).too_near(q)
     for row, k in np.argwhere(near)[:1]:
         name = robot.part_names[robot.parts[k]]
         expected = f"farther from every magnet, where its field is known (row {row + 1} of the poses)"
@@ -330,15 +273,15 @@ def calibrate(
         sigma.shape in shapes, "q_covariance", owner, f"one, or one for each of {len(q)} poses", sigma.shape
     )
     check_poses(robot, q, sigma, rows)
-    priors = _priors(described, tolerances or Tolerances())
+    priors = priors_of(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
 
     def whitened(z: Array) -> tuple[Array, Array, Array]:
         """Residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, root of the noise."""
         parameters = dict(zip(names, (z * scale).tolist(), strict=True))
-        moved = placed(described, parameters).sensing()
+        moved = sensing_of(placed(described, parameters))
         u_hat, J_q = moved.linearise(q)
-        J = _slopes(described, moved, parameters, q) * scale
+        J = slopes_of(described, moved, parameters, q) * scale
         noise = np.diag(std**2) + J_q @ sigma @ np.swapaxes(J_q, -1, -2)
         rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
         root = np.linalg.cholesky(noise)
@@ -385,7 +328,7 @@ def calibrate(
     )  # fmt: skip
 
 
-def outside(robot: Robot, q: Array, q_covariance: Any = 0.0) -> Array:
+def outside(robot: Assembly, q: Array, q_covariance: Any = 0.0) -> Array:
     """Return which coordinates of measured poses ``[poses, n_q]`` are outside the robot's bounds.
 
     A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
@@ -399,7 +342,9 @@ def outside(robot: Robot, q: Array, q_covariance: Any = 0.0) -> Array:
     return (q < robot.lower - slack) | (q > robot.upper + slack)
 
 
-def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None) -> None:
+def check_poses(
+    robot: Assembly, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None
+) -> None:
     """Refuse measured poses ``[poses, n_q]`` that are `outside`, by the name of the row and coordinate."""
     for row, c in np.argwhere(outside(robot, q, q_covariance)):
         bounds: Any = (robot.lower, robot.upper)
@@ -409,63 +354,12 @@ def check_poses(robot: Robot, q: Array, q_covariance: Any = 0.0, rows: Sequence[
         raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in {where}")
 
 
-def placed(robot: Robot, parameters: Mapping[str, float]) -> Robot:
-    r"""Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
-
-    Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
-    end of a segment, and beyond it, it goes straight on. A dimension :math:`d` of a magnet that is off by :math:`x`
-    is :math:`d\,e^{x/d}`, and its polarisation is multiplied by :math:`e^x`: neither changes its sign.
-
-    Raises
-    ------
-    InputError
-        If no robot is like that.
-    """
-    own, magnets, sensors = parameters.get, [], []
-    shapes, rows = _strengths(robot, parameters)
-    for k, part in enumerate(robot.magnets):
-        name = f"magnet {k + 1} "
-        p = np.array([own(name + x, 0.0) for x in _MAGNET])
-        R = part.place.rotation
-        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        position = part.place.position + R @ p[:3] + [0.0, 0.0, beyond]
-        magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
-    for j, part in enumerate(robot.sensors):
-        name = f"sensor {j + 1} "
-        azimuth, radius, tilt = (own(name + x, 0.0) for x in _SENSOR)
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        shift = [own(name + x, 0.0) for x in "xyz"]
-        position = _about(2, azimuth) @ (part.place.position * [1 + radius, 1 + radius, 1.0] + shift)
-        R = _about(2, azimuth) @ part.place.rotation @ _about(1, -tilt)
-        R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
-        turned: dict[str, Any] = {"direction": R[:, 2]}
-        if part.axes == 3:
-            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        gain = part.gain * np.array([1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)])
-        offset = part.offset + np.array([own(name + x, 0.0) for x in _per_axis("offset", part.axes)])
-        moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
-        moved |= {
-            "radial": 0.0,
-            "azimuth": 0.0,
-            "tilt": 0.0,
-            "gain": tuple(gain.tolist()),
-            "offset": tuple(offset.tolist()),
-        }
-        sensors.append(replace(part, **moved))
-    relative = np.vectorize(own)(_moment_names(robot, rows.shape[1]), 0.0)
-    earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
-    if earth.any():
-        robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
-    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
-
-
 def _refused(received: str) -> InputError:
     expected = f"readings of this robot in these poses (usual causes if not: {_CAUSES})"
     return bad_input("poses and readings", "calibrate", expected, received)
 
 
-def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
+def _noise_of(robot: Assembly, noise: Any, n: int, owner: str) -> Array:
     """Standard deviation of every reading ``[n]``, of the robot if not given."""
     expected = "positive, one number or one for each reading"
     require(noise is not None or robot.noise is not None, "noise", owner, expected, "none")
@@ -474,82 +368,6 @@ def _noise_of(robot: Robot, noise: Any, n: int, owner: str) -> Array:
     std = numbers(noise, "noise", owner)
     require(std.shape in ((), (n,)) and (std > 0).all(), "noise", owner, expected, noise)
     return np.broadcast_to(std, (n,))
-
-
-def _sizes(shape: Any) -> dict[str, float]:
-    """Dimensions of a magnet that are there."""
-    return {name: size for name, size in vars(shape).items() if name != "polarisation_mt" and size > 0}
-
-
-def _per_axis(name: str, axes: int) -> list[str]:
-    return [name] if axes == 1 else [f"{name} {axis}" for axis in "xyz"]
-
-
-def _moment_names(robot: Robot, terms: int) -> Array:
-    """Names of the relative moments of every magnet ``[m, terms]``: magnets of one shape share theirs."""
-    alike = len({magnet.shape for magnet in robot.magnets}) == 1
-    owners = ["" if alike else f"magnet {k + 1} " for k in range(len(robot.magnets))]
-    return np.array([[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners])
-
-
-def _strengths(robot: Robot, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
-    """Shapes of the magnets, and their moments without the relative changes of moments."""
-    rows, shapes = np.array(robot.sensing().moments if robot.moments is None else robot.moments), []
-    for k, magnet in enumerate(robot.magnets):
-        name, old = f"magnet {k + 1} ", magnet.shape
-        own = {x: size * math.exp(parameters.get(name + x, 0.0) / size) for x, size in _sizes(old).items()}
-        own["polarisation_mt"] = old.polarisation_mt * math.exp(parameters.get(name + "polarisation", 0.0))
-        shapes.append(replace(old, **own))
-        if shapes[k] != old:
-            orders = 2 * rows.shape[1] - 1
-            rows[k] += shapes[k].multipoles(orders) - old.multipoles(orders)
-    return shapes, rows
-
-
-def _priors(robot: Robot, t: Tolerances) -> dict[str, float]:
-    """Standard deviations of all that may be off, by name."""
-    priors: dict[str, float] = {}
-    for k, part in enumerate(robot.magnets):
-        own = {"position": t.magnet_position, "tilt": t.magnet_tilt, **(part.tolerance or {})}
-        stds = dict(zip(_MAGNET, [own["position"]] * 3 + [own["tilt"]] * 2, strict=True))
-        stds |= {"along": own.get("at", 0.0), "polarisation": own.get("polarisation", 0.0)}
-        stds |= dict.fromkeys(_sizes(part.shape), own.get("size", 0.0))
-        priors |= {f"magnet {k + 1} {name}": std for name, std in stds.items()}
-    for j, part in enumerate(robot.sensors):
-        own, radial = dict(part.tolerance or {}), math.hypot(*part.place.position[:2])
-        usual = 0.0 if "position" in own else 1.0  # a stated position says all about the place
-        outwards = own["radius"] / radial if radial and "radius" in own else usual * t.sensor_radius
-        stds = {"azimuth": own.get("azimuth", usual * t.sensor_azimuth), "radius": outwards}
-        stds["tilt"] = own.get("tilt", t.sensor_tilt)
-        stds |= dict.fromkeys(_per_axis("gain", part.axes), own.get("gain", t.sensor_gain))
-        chip = part.axes == 3
-        turned = own.get("tilt", t.sensor_tilt if chip else 0.0)
-        stds |= dict.fromkeys(["tilt about x", "tilt about z"][: part.axes], turned)
-        moved = t.chip_position if chip else 0.0
-        stds |= dict.fromkeys("xy", own.get("position", moved))
-        stds |= {"z": own.get("position", 0.0), "along": own.get("at", usual * moved)}
-        stds |= dict.fromkeys(_per_axis("offset", part.axes), own.get("offset", t.sensor_offset))
-        priors |= {f"sensor {j + 1} {name}": std for name, std in stds.items()}
-    priors |= dict.fromkeys(
-        _moment_names(robot, robot.sensing().moments.shape[1]).ravel().tolist(), t.moments
-    )
-    priors |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
-    return {name: std for name, std in priors.items() if std}
-
-
-def _about(axis: int, angle: float) -> Array:
-    c, s, R = math.cos(angle), math.sin(angle), np.eye(3)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    R[j, j], R[j, k], R[k, j], R[k, k] = c, -s, s, c
-    return R
-
-
-def _along(robot: Robot, where: Place, far: float) -> tuple[float, float]:
-    """Place along its segment after a move, and how far beyond the end of the segment that is."""
-    reach, at = robot.segments[where.segment - 1].length if where.segment else 0.0, where.at
-    if 0 < at < reach:
-        at = min(max(at + far, 0.0), reach)
-    return at, where.at + far - at
 
 
 def _by_pose(
@@ -581,63 +399,67 @@ def _model_error(off: Array, expected: Array, own: Array) -> Array:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def _slopes(described: Robot, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
-    """Slopes of readings by the parameters ``[poses, s, k]``.
+_SCHEMA = 3
+_KEPT = ("names", "estimate", "tolerances", "covariance", "chi2", "poses", "before", "after", "model_error")
+"""What a calibration consists of beside the robot as described."""
 
-    The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
+
+def calibration_text(found: Calibration) -> str:
+    """Return a calibration as the JSON that :func:`load_calibration` reads for the same robot file."""
+    source = found.described.source
+    expected = "of a robot that load_robot has read"
+    require(isinstance(source, Source), "calibration", "save", expected, "one of another robot")
+    content = {"schema": _SCHEMA, "robot": source.name, "robot_sha256": source.sha256}
+    content |= {name: np.asarray(vars(found)[name]).tolist() for name in _KEPT}
+    content["sha256"] = _own_hash(content)
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _own_hash(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps({**content, "sha256": ""}, sort_keys=True).encode()).hexdigest()
+
+
+def load_calibration(path: str | Path, robot: Described) -> Calibration[Described]:
+    """Read what a calibration found for a robot file.
+
+    Parameters
+    ----------
+    path
+        What :meth:`Calibration.save` wrote.
+    robot
+        From the robot file that was calibrated.
+
+    Raises
+    ------
+    InputError
+        If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
     """
-    robot, gain, own = moved.robot, moved.tables.gain, parameters.get
-    u, wrench = moved.wrenches(q)
-    on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
-    frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
-    columns: dict[str, Array] = {}
-    for k, part in enumerate(described.magnets):
-        name, F = f"magnet {k + 1} ", frames[:, k, :3, :3]
-        R = F @ part.place.rotation
-        centre = frames[:, k, :3, 3] + F @ robot.magnets[k].place.position
-        turns = np.stack([np.eye(3)[:, 0], _about(0, own(name + "tilt about x", 0.0))[:, 1]], axis=1)
-        force = wrench[:, :, k, :3]
-        torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
-        by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
-        columns |= {name + x: by[..., c] * gain for c, x in enumerate(_MAGNET)}
-    row = 0
-    for j, part in enumerate(described.sensors):
-        name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
-        turned = _about(2, own(name + "azimuth", 0.0))
-        at = frames[:, n_m + j, :3, 3] + F @ place.position
-        rows = slice(row, row + part.axes)
-        total = wrench[:, rows].sum(2)
-        force, torque = total[..., :3], total[..., 3:] - np.cross(at[:, None], total[..., :3])
-        around = np.cross([0.0, 0.0, 1.0], place.position)
-        outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
-        across = -(turned @ part.place.rotation)[:, 1]
-        tilted = turned @ part.place.rotation @ _about(1, -own(name + "tilt", 0.0))
-        slopes = {
-            "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
-            "radius": _work(force, F @ outwards),
-            "tilt": _work(torque, F @ across),
-        }
-        slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
-        slopes["tilt about x"] = _work(torque, F @ tilted[:, 0])
-        slopes["tilt about z"] = _work(torque, F @ place.rotation[:, 2])
-        for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
-            slopes[x] = u[:, rows] * axis / (1 + own(name + x, 0.0))
-        for x, slope in slopes.items():
-            columns[name + x] = np.zeros(u.shape)
-            columns[name + x][:, rows] = slope * gain[rows]
-        row += part.axes
-    before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
-    for name in dict.fromkeys(names.T.ravel().tolist()):
-        one = np.where(names == name, before, 0.0)
-        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
-    for name in parameters.keys() - columns.keys():
-        up, down = (
-            placed(described, {**parameters, name: parameters[name] + h}).sensing()(q)[:, : len(gain)]
-            for h in (_STEP, -_STEP)
-        )
-        columns[name] = (up - down) / (2 * _STEP)
-    return np.stack([columns[name] for name in parameters], axis=-1)
-
-
-def _work(force: Array, motion: Array) -> Array:
-    return np.einsum("psi,pi->ps", force, motion)
+    path, source = Path(path), robot.source
+    owner = path.name
+    require(path.is_file(), "calibration", "load_calibration", "a file that exists", path)
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        same = content["schema"] == _SCHEMA and content["sha256"] == _own_hash(content)
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise bad_input("file", owner, "JSON that Calibration.save wrote", error) from error
+    require(same, "sha256", owner, "the hash of a file as it was written, of schema 3", "another")
+    same = source is not None and content["robot_sha256"] == source.sha256
+    expected = f"made with {source.name if source else 'a robot file'} as it is now"
+    require(same, "robot_sha256", owner, expected, f"one made with {content['robot']!r}")
+    names, n = content["names"], len(content["names"])
+    estimate, tolerances = (numbers(content[name], name, owner, (n,)) for name in ("estimate", "tolerances"))
+    C = numbers(content["covariance"], "covariance", owner, (n, n))
+    known = (np.abs(estimate) <= _FARTHEST * tolerances).all()
+    require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
+    good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
+    require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
+    s = sum(sensor.axes for sensor in robot.sensors)
+    M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
+    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= -1e-9 * np.abs(M).max(
+        initial=0.0
+    )
+    require(good, "model_error", owner, "a covariance of readings", "another matrix")
+    rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
+    moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
+    deviation = np.sqrt(np.diag(C)) * tolerances
+    return Calibration(moved, robot, tuple(names), estimate, deviation, tolerances, C, **rest, model_error=M)

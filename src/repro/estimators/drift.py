@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import turn
 from repro.common import Array, require
 from repro.estimators.base import model_of
-from repro.robot import turn
 from repro.sensing import Sensing, rotation_vector
 
 _KINDS = ("offset", "gain", "moment", "stray", "heading", "tilt")
@@ -123,6 +123,7 @@ class Drifting:
                 fits, expected = True, ""
             require(fits, f"drifts, kind {kind},", "Drifting", expected, type(sensing).__name__)
         self.sensing, self.drifts = sensing, tuple(drifts)
+        self.robot = sensing.robot if robot else None
 
 
 class DriftModel:

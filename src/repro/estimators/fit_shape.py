@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from repro.chain import Chain, FreeBody, Place, place, point_on, rotation_matrix, unit_quaternions
 from repro.common import Array, bad_input, is_table, numbers, require
-from repro.estimators.base import Trajectory
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
-from repro.robot import FreeBody, Place, Robot, place, point_on, rotation_matrix, unit_quaternions
+from repro.estimators.trajectory import Trajectory
+from repro.parts import Assembly, Mounted
 from repro.sensing import batch_difference
 from repro.tables import POSITION_FIRST, bodies_of, read_table
 
@@ -92,7 +93,7 @@ class _Bodies:
 
     compiled = False
 
-    def __init__(self, robot: Robot, places: Sequence[Place]) -> None:
+    def __init__(self, robot: Chain, places: Sequence[Place]) -> None:
         self.robot, self.places = robot, tuple(places)
         self.n_q, self.n_readings, self.rotations = robot.n_q, 6 * len(self.places), robot.rotations
 
@@ -118,7 +119,7 @@ def _rotation_vectors(R: Array) -> Array:
 
 
 def fit_shape(
-    robot: Robot,
+    robot: Chain,
     poses: Any,
     at: Sequence[Any] | None = None,
     *,
@@ -221,7 +222,8 @@ def fit_shape(
     r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
     return FittedShapes(
         at_times, q, C, u_hat, chi2, dof, u.shape[1] - used, {},
-        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig, robot=robot,
+        residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
+        robot=robot if isinstance(robot, Assembly) else None,
     )  # fmt: skip
 
 
@@ -252,7 +254,7 @@ def measured_poses(poses: Any, owner: str) -> Array:
     return T
 
 
-def places_of(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
+def places_of(robot: Chain, at: Any, n: int, owner: str) -> list[Place]:
     """Return where each of ``n`` bodies is: as given, or on the tips of all segments, one more on the base."""
     g = len(robot.segments)
     if at is None:
@@ -265,7 +267,7 @@ def places_of(robot: Robot, at: Any, n: int, owner: str) -> list[Place]:
     require(isinstance(at, Sequence), "at", owner, "a list, with a place for each body", at)
     places = []
     for item in at:
-        own: Any = getattr(item, "place", item)
+        own: Any = item.place if isinstance(item, Mounted) else item
         if not isinstance(own, Place):
             pair = isinstance(own, Sequence) and len(own) in (2, 3)
             require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
@@ -280,7 +282,7 @@ class _Search:
     """Finds the best configuration of every shape, and the rig that suits all of them."""
 
     def __init__(
-        self, robot: Robot, places: list[Place], noise: tuple[float, float], start: Any, owner: str
+        self, robot: Chain, places: list[Place], noise: tuple[float, float], start: Any, owner: str
     ) -> None:
         self.robot, self.places, self.noise = robot, places, noise
         stated: Any = (robot.lower, robot.upper)
@@ -308,7 +310,7 @@ class _Search:
     def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
         """Return configurations, readings there, covariance, chi-square and number of readings used."""
         last = max(where.segment for where in places)
-        robot = Robot(self.robot.segments[:last])
+        robot = Chain(self.robot.segments[:last])
         n, far = robot.n_q, np.full(robot.n_q, 1e6)
         noise = np.repeat(self.noise, 3 * len(places))
         method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)

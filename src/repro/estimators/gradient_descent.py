@@ -15,10 +15,11 @@ from repro.estimators.base import (
     incoming,
     known_coordinates,
     model_of,
+    robot_of,
     start,
 )
-from repro.robot import Robot
-from repro.sensing import difference, evaluate, room_for, unpack
+from repro.parts import Assembly
+from repro.sensing import Sensing, difference, evaluate, room_for, sensing_of, unpack
 
 _ABSURD = 1e3
 """Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
@@ -79,7 +80,8 @@ class GradientDescent:
     def __init__(
         self, sensing: Any, step_size: Any, momentum: float = 0.3, iterations: int = 20, noise: Any = None
     ) -> None:
-        owner, n = "GradientDescent", getattr(sensing, "n_q", 0)
+        owner = "GradientDescent"
+        n = sensing.n_q if isinstance(sensing, Assembly | Sensing) else 0
         moves = numbers(step_size, "step_size", owner)
         fits = moves.shape in ((), (n,)) if n else moves.ndim == 1
         words = f"for each of {n} coordinates, or one for all" if n else "for each coordinate"
@@ -89,13 +91,14 @@ class GradientDescent:
         require(0 <= momentum < 1, "momentum", owner, "in [0, 1)", momentum)
         require(iterations >= 1, "iterations", owner, "at least 1", iterations)
         self.momentum, self.iterations, self.n_q = float(momentum), iterations, len(self.step_size)
-        robot = sensing if isinstance(sensing, Robot) else None
-        noise = getattr(robot, "total_noise", None) if noise is None else noise
+        robot = sensing if isinstance(sensing, Assembly) else None
+        noise = robot.total_noise if noise is None and robot is not None else noise
         self.noise = numbers(math.nan if noise is None else noise, "noise", owner, finite=False)
         require(not (self.noise <= 0).any(), "noise", owner, "positive", noise)
-        model = sensing if robot is None else robot.sensing()
+        model = sensing if robot is None else sensing_of(robot)
         # A callable is differentiated over steps of the size of a soft robot's coordinates.
         self.model = model_of(model, np.full(self.n_q, -5e-3), np.full(self.n_q, 5e-3), owner)
+        self.robot = robot_of(self.model)
         low, high = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
         if robot is not None and robot.lower is not None and robot.upper is not None:
             low, high = robot.lower, robot.upper

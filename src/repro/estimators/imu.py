@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from repro.chain import unit_quaternions
 from repro.common import Array, numbers, require
-from repro.robot import unit_quaternions
 
 
 @dataclass(frozen=True)

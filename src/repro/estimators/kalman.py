@@ -23,13 +23,11 @@ from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
-    Trajectory,
     described,
     each,
     incoming,
     known_coordinates,
     parts_of,
-    run,
     start,
 )
 from repro.estimators.drift import Drifting, DriftModel
@@ -439,56 +437,3 @@ def _link(motion: tuple[Array, Array], x: Array, P: Array) -> tuple[Array, Array
     )
     gain = np.linalg.solve(scaled, cross * scale[..., :, None]) * scale[..., :, None]
     return np.swapaxes(gain, -1, -2), x @ F.T, before
-
-
-def smooth(
-    method: Any,
-    readings: Any,
-    q0: Any = None,
-    *,
-    times: Any = None,
-    rate_hz: float | None = None,
-    mask: Any = None,
-    known: Any = None,
-    progress: str | None = None,
-    monitor: str | None = "auto",
-) -> Trajectory:
-    """Run a filter over recorded readings, then backwards: the sibling of :func:`repro.track`.
-
-    The predicted readings, ``chi2``, the details, ``status`` and ``suspects`` are those of the filter.
-
-    Parameters
-    ----------
-    method
-        A Kalman or rod filter.
-    readings, q0, times, rate_hz, mask, known, progress, monitor
-        As for :func:`repro.track`.
-
-    Raises
-    ------
-    InputError
-        If the estimator does not say how its state moves, or as :func:`repro.track`.
-
-    Examples
-    --------
-    A coordinate that was read at both ends of a second was halfway in its middle:
-
-    >>> from repro import KalmanFilter
-    >>> method = KalmanFilter(lambda q: q, [-9.0], [9.0], noise=1e-4, acceleration=[1.0], velocity=[100.0])
-    >>> smooth(method, [[0.0], [np.nan], [1.0]], [0.0], times=[0.0, 0.5, 1.0]).q.ravel().round(3) + 0.0
-    array([0. , 0.5, 1. ])
-    """
-    require(
-        isinstance(method, MotionModel), "method", "smooth", "a Kalman or rod filter", type(method).__name__
-    )
-    found, states = run(
-        method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
-        monitor=monitor, owner="smooth",
-    )  # fmt: skip
-    details = found.details
-    back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
-    q = np.stack([state.q[..., :n] for state in back])
-    P = np.stack([state.covariance[..., :n, :n] for state in back])
-    P = P * details["growth"][..., None, None] if "growth" in details else P
-    values = {**vars(found), "q": q, "covariance": method.by_bounds(P)}
-    return Trajectory(**values)

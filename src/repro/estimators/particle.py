@@ -17,7 +17,7 @@ import numpy as np
 from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
 from repro.estimators.base import Estimate, described, fixed_coordinates, incoming, known_coordinates, start
-from repro.robot import Robot
+from repro.parts import Assembly
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class ParticleFilter:
 
     def __init__(
         self,
-        sensing: Robot | Callable[[Array], Any],
+        sensing: Assembly | Callable[[Array], Any],
         process_noise: Any = None,
         noise: Any = None,
         region: Any = None,
@@ -175,7 +175,7 @@ class ParticleFilter:
         motion: str = "random walk",
     ) -> None:
         owner = "ParticleFilter"
-        robot = sensing if isinstance(sensing, Robot) else None
+        robot = sensing if isinstance(sensing, Assembly) else None
         self.robot, self._fixed, self._by_rule = robot, None, process_noise is None
         self.angles = FreeAngles((), np.empty(0), np.empty(0)) if robot is None else robot.free_angles
         if robot is not None:
@@ -208,7 +208,7 @@ class ParticleFilter:
         }
         for name, known in choices.items():
             expected = f"one of {', '.join(map(repr, known))}"
-            require(getattr(self, name) in known, name, owner, expected, repr(getattr(self, name)))
+            require(vars(self)[name] in known, name, owner, expected, repr(vars(self)[name]))
         self.n_q = self.process_noise.shape[-1]
         if estimate == "best tenth" and self.n_q != 2:
             expected = "'weighted' for a configuration that is no bend vector"

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from repro.angles import FreeAngles
+from repro.chain import arc_functions
 from repro.common import Array, kernel, numbers, require
 from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, model_of, start
 from repro.estimators.kalman import KalmanState, MotionModel
-from repro.robot import arc_functions
 from repro.sensing import rotation_vector
 
 _KINDS = {"pose": 6, "orientation": 3, "gyroscope": 3, "model": None}

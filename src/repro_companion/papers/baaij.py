@@ -26,10 +26,10 @@ from repro import (
     simulated_readings,
     track,
 )
+from repro.chain import Place, point_on
 from repro.estimators.base import Estimate
-from repro.estimators.calibration import Tolerances
 from repro.networks import Network, load_network
-from repro.robot import Place, point_on
+from repro.tolerances import Tolerances
 from repro_companion.scorecard import kinds
 from repro_companion.show import project_folder, ratio_interval
 

@@ -36,9 +36,9 @@ from repro import (
     Sensing,
     Sensor,
 )
+from repro.chain import place
 from repro.common import bad_input, require
 from repro.networks import load_network
-from repro.robot import place
 from repro.sensing import relations
 from repro_board.evaluate import search_lag
 from repro_companion.papers.fetch import read_sources

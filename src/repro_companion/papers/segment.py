@@ -27,8 +27,8 @@ from repro import (
     Sensor,
     simulated_readings,
 )
-from repro.estimators.calibration import Tolerances
-from repro.robot import point_on
+from repro.chain import point_on
+from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
 from repro_companion.show import ratio_interval

@@ -1,0 +1,270 @@
+"""A robot that is not as drawn: what may be off, by how much, and how its readings follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from repro.chain import Place, point_on
+from repro.common import Array, require
+from repro.parts import Assembly
+from repro.sensing import Sensing, sensing_of
+
+Described = TypeVar("Described", bound=Assembly)
+"""The kind of robot that is described: what is found is of the same kind."""
+_STEP = 1e-6
+"""Of central differences, in every unit."""
+_MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
+_SENSOR = ("azimuth", "radius", "tilt")
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far a robot may be from its drawing: standard deviations. What a part states of its own comes first.
+
+    A part may state more than these: place along the backbone, tilt of a sensor about all axes, size of a magnet.
+
+    Parameters
+    ----------
+    magnet_position
+        Centre of a magnet along each axis of its mount [m].
+    magnet_tilt
+        Tilt of a magnet about each transverse axis [rad].
+    sensor_azimuth
+        Azimuth of a sensor [rad].
+    sensor_radius
+        Its distance from the backbone, relative.
+    sensor_tilt
+        Its tilt about the tangential direction [rad]; of a chip with three axes about each of its axes.
+    sensor_gain
+        Gain of each of its axes, relative.
+    moments
+        Every multipole moment, relative; magnets of one shape share it.
+    chip_position
+        Place of a chip with three axes along each axis of the cross-section and along the backbone [m]. Azimuth and
+        radius say nothing of a chip on the backbone.
+    sensor_offset
+        Reading of a sensor without a field [mT]. Zero: as stated.
+    earth
+        Field of the Earth along each axis of the base [mT]. Zero: as stated.
+
+    Raises
+    ------
+    InputError
+        If one of the first eight is not positive, or another one is negative.
+
+    Examples
+    --------
+    >>> Tolerances(magnet_position=1e-3).magnet_tilt == math.radians(2.0)
+    True
+    """
+
+    magnet_position: float = 0.5e-3
+    magnet_tilt: float = math.radians(2.0)
+    sensor_azimuth: float = 0.01 * 2 * math.pi
+    sensor_radius: float = 0.01
+    sensor_tilt: float = math.radians(1.0)
+    sensor_gain: float = 0.01
+    moments: float = 0.02
+    chip_position: float = 0.3e-3
+    sensor_offset: float = 0.0
+    earth: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = list(asdict(self).values())
+        good = all(0 < x < math.inf for x in values[:8]) and all(0 <= x < math.inf for x in values[8:])
+        require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
+
+
+def placed(robot: Described, parameters: Mapping[str, float]) -> Described:
+    r"""Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
+
+    Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
+    end of a segment, and beyond it, it goes straight on. A dimension :math:`d` of a magnet that is off by :math:`x`
+    is :math:`d\,e^{x/d}`, and its polarisation is multiplied by :math:`e^x`: neither changes its sign.
+
+    Raises
+    ------
+    InputError
+        If no robot is like that.
+    """
+    own, magnets, sensors = parameters.get, [], []
+    shapes, rows = _strengths(robot, parameters)
+    for k, part in enumerate(robot.magnets):
+        name = f"magnet {k + 1} "
+        p = np.array([own(name + x, 0.0) for x in _MAGNET])
+        R = part.place.rotation
+        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
+        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
+        position = part.place.position + R @ p[:3] + [0.0, 0.0, beyond]
+        magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
+    for j, part in enumerate(robot.sensors):
+        name = f"sensor {j + 1} "
+        azimuth, radius, tilt = (own(name + x, 0.0) for x in _SENSOR)
+        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
+        shift = [own(name + x, 0.0) for x in "xyz"]
+        position = _about(2, azimuth) @ (part.place.position * [1 + radius, 1 + radius, 1.0] + shift)
+        R = _about(2, azimuth) @ part.place.rotation @ _about(1, -tilt)
+        R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
+        turned: dict[str, Any] = {"direction": R[:, 2]}
+        if part.axes == 3:
+            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
+        gain = part.gain * np.array([1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)])
+        offset = part.offset + np.array([own(name + x, 0.0) for x in _per_axis("offset", part.axes)])
+        moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
+        moved |= {
+            "radial": 0.0,
+            "azimuth": 0.0,
+            "tilt": 0.0,
+            "gain": tuple(gain.tolist()),
+            "offset": tuple(offset.tolist()),
+        }
+        sensors.append(replace(part, **moved))
+    relative = np.vectorize(own)(_moment_names(robot, rows.shape[1]), 0.0)
+    earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
+    if earth.any():
+        robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
+    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
+
+
+def _sizes(shape: Any) -> dict[str, float]:
+    """Dimensions of a magnet that are there."""
+    return {name: size for name, size in vars(shape).items() if name != "polarisation_mt" and size > 0}
+
+
+def _per_axis(name: str, axes: int) -> list[str]:
+    return [name] if axes == 1 else [f"{name} {axis}" for axis in "xyz"]
+
+
+def _moment_names(robot: Assembly, terms: int) -> Array:
+    """Names of the relative moments of every magnet ``[m, terms]``: magnets of one shape share theirs."""
+    alike = len({magnet.shape for magnet in robot.magnets}) == 1
+    owners = ["" if alike else f"magnet {k + 1} " for k in range(len(robot.magnets))]
+    return np.array([[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners])
+
+
+def _strengths(robot: Assembly, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
+    """Shapes of the magnets, and their moments without the relative changes of moments."""
+    rows, shapes = np.array(sensing_of(robot).moments if robot.moments is None else robot.moments), []
+    for k, magnet in enumerate(robot.magnets):
+        name, old = f"magnet {k + 1} ", magnet.shape
+        own = {x: size * math.exp(parameters.get(name + x, 0.0) / size) for x, size in _sizes(old).items()}
+        own["polarisation_mt"] = old.polarisation_mt * math.exp(parameters.get(name + "polarisation", 0.0))
+        shapes.append(replace(old, **own))
+        if shapes[k] != old:
+            orders = 2 * rows.shape[1] - 1
+            rows[k] += shapes[k].multipoles(orders) - old.multipoles(orders)
+    return shapes, rows
+
+
+def priors_of(robot: Assembly, t: Tolerances) -> dict[str, float]:
+    """Standard deviations of all that may be off, by name."""
+    priors: dict[str, float] = {}
+    for k, part in enumerate(robot.magnets):
+        own = {"position": t.magnet_position, "tilt": t.magnet_tilt, **(part.tolerance or {})}
+        stds = dict(zip(_MAGNET, [own["position"]] * 3 + [own["tilt"]] * 2, strict=True))
+        stds |= {"along": own.get("at", 0.0), "polarisation": own.get("polarisation", 0.0)}
+        stds |= dict.fromkeys(_sizes(part.shape), own.get("size", 0.0))
+        priors |= {f"magnet {k + 1} {name}": std for name, std in stds.items()}
+    for j, part in enumerate(robot.sensors):
+        own, radial = dict(part.tolerance or {}), math.hypot(*part.place.position[:2])
+        usual = 0.0 if "position" in own else 1.0  # a stated position says all about the place
+        outwards = own["radius"] / radial if radial and "radius" in own else usual * t.sensor_radius
+        stds = {"azimuth": own.get("azimuth", usual * t.sensor_azimuth), "radius": outwards}
+        stds["tilt"] = own.get("tilt", t.sensor_tilt)
+        stds |= dict.fromkeys(_per_axis("gain", part.axes), own.get("gain", t.sensor_gain))
+        chip = part.axes == 3
+        turned = own.get("tilt", t.sensor_tilt if chip else 0.0)
+        stds |= dict.fromkeys(["tilt about x", "tilt about z"][: part.axes], turned)
+        moved = t.chip_position if chip else 0.0
+        stds |= dict.fromkeys("xy", own.get("position", moved))
+        stds |= {"z": own.get("position", 0.0), "along": own.get("at", usual * moved)}
+        stds |= dict.fromkeys(_per_axis("offset", part.axes), own.get("offset", t.sensor_offset))
+        priors |= {f"sensor {j + 1} {name}": std for name, std in stds.items()}
+    priors |= dict.fromkeys(
+        _moment_names(robot, sensing_of(robot).moments.shape[1]).ravel().tolist(), t.moments
+    )
+    priors |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
+    return {name: std for name, std in priors.items() if std}
+
+
+def _about(axis: int, angle: float) -> Array:
+    c, s, R = math.cos(angle), math.sin(angle), np.eye(3)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    R[j, j], R[j, k], R[k, j], R[k, k] = c, -s, s, c
+    return R
+
+
+def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
+    """Place along its segment after a move, and how far beyond the end of the segment that is."""
+    reach, at = robot.segments[where.segment - 1].length if where.segment else 0.0, where.at
+    if 0 < at < reach:
+        at = min(max(at + far, 0.0), reach)
+    return at, where.at + far - at
+
+
+def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
+    """Slopes of readings by the parameters ``[poses, s, k]``.
+
+    The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
+    """
+    robot, gain, own = moved.robot, moved.tables.gain, parameters.get
+    u, wrench = moved.wrenches(q)
+    on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
+    frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
+    columns: dict[str, Array] = {}
+    for k, part in enumerate(described.magnets):
+        name, F = f"magnet {k + 1} ", frames[:, k, :3, :3]
+        R = F @ part.place.rotation
+        centre = frames[:, k, :3, 3] + F @ robot.magnets[k].place.position
+        turns = np.stack([np.eye(3)[:, 0], _about(0, own(name + "tilt about x", 0.0))[:, 1]], axis=1)
+        force = wrench[:, :, k, :3]
+        torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
+        by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
+        columns |= {name + x: by[..., c] * gain for c, x in enumerate(_MAGNET)}
+    row = 0
+    for j, part in enumerate(described.sensors):
+        name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
+        turned = _about(2, own(name + "azimuth", 0.0))
+        at = frames[:, n_m + j, :3, 3] + F @ place.position
+        rows = slice(row, row + part.axes)
+        total = wrench[:, rows].sum(2)
+        force, torque = total[..., :3], total[..., 3:] - np.cross(at[:, None], total[..., :3])
+        around = np.cross([0.0, 0.0, 1.0], place.position)
+        outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
+        across = -(turned @ part.place.rotation)[:, 1]
+        tilted = turned @ part.place.rotation @ _about(1, -own(name + "tilt", 0.0))
+        slopes = {
+            "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
+            "radius": _work(force, F @ outwards),
+            "tilt": _work(torque, F @ across),
+        }
+        slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
+        slopes["tilt about x"] = _work(torque, F @ tilted[:, 0])
+        slopes["tilt about z"] = _work(torque, F @ place.rotation[:, 2])
+        for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
+            slopes[x] = u[:, rows] * axis / (1 + own(name + x, 0.0))
+        for x, slope in slopes.items():
+            columns[name + x] = np.zeros(u.shape)
+            columns[name + x][:, rows] = slope * gain[rows]
+        row += part.axes
+    before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
+    for name in dict.fromkeys(names.T.ravel().tolist()):
+        one = np.where(names == name, before, 0.0)
+        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
+    for name in parameters.keys() - columns.keys():
+        up, down = (
+            sensing_of(placed(described, {**parameters, name: parameters[name] + h}))(q)[:, : len(gain)]
+            for h in (_STEP, -_STEP)
+        )
+        columns[name] = (up - down) / (2 * _STEP)
+    return np.stack([columns[name] for name in parameters], axis=-1)
+
+
+def _work(force: Array, motion: Array) -> Array:
+    return np.einsum("psi,pi->ps", force, motion)
