@@ -23,12 +23,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
 from repro.estimators.base import information_of_bounds
+from repro.estimators.gauss_newton import Trial, gauss_newton
 from repro.parts import Assembly, Source
 from repro.sensing import Sensing, sensing_of
 from repro.tables import Readings, configurations_of, read_readings, read_table
@@ -45,9 +46,9 @@ _CAUSES = (
 )
 _CHANCE = 3.0
 """By how many of its standard deviations the mean square of left-out poses may exceed what is expected, by chance."""
-_ITERATIONS, _DAMPING = 50, 1e-3
-"""Number of steps, of which six are enough as a rule; damping of Levenberg and Marquardt, where a step leads to a
-worse robot."""
+_ITERATIONS, _SLACK = 50, 1.01
+"""Number of steps, of which six are enough as a rule; by what factor a step may raise the squared residuals, whose
+variances change with the slopes."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -230,15 +231,49 @@ def calibrate(
     array([1.02, 1.02, 1.02])
     """
     owner = "calibrate"
-    require(robot.magnets and robot.sensors, "robot", owner, "one with magnets and sensors", "neither")
-    require(
-        robot.model is None, "robot", owner, "one whose readings are multipoles of its magnets", "networks"
+    robot = _as_described(robot, earth, owner)
+    described = robot.replaced(imus=(), noise=None)
+    q, u, rows = _measured(robot, described, q, u, rows, owner)
+    std = _noise_of(robot, noise, described.n_readings, owner)
+    sigma = _covariance_of(q_covariance, len(q), robot.n_q, owner)
+    check_poses(robot, q, sigma, rows)
+    priors = priors_of(described, tolerances or Tolerances())
+    names, scale = tuple(priors), np.array(list(priors.values()))
+
+    poses = _Poses(described, names, scale, q, u, std, sigma)
+    with np.errstate(all="ignore"):
+        try:
+            fit = gauss_newton(poses.trial, np.ones(len(scale)), iterations=_ITERATIONS, slack=_SLACK)
+            covariance = np.linalg.inv(fit.information)
+            (first, _, _), (r, J, root) = fit.first.details, fit.last.details
+            before, after, own, left_out = _by_pose(first, r, J, covariance, len(q))
+            off = (root @ left_out[0][..., None])[..., 0]
+            inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
+        except (np.linalg.LinAlgError, OverflowError, InputError) as error:
+            raise _refused(f"a fit that ends in no robot ({error})") from error
+
+    _judge(fit.z, names, before, after, own, rows)
+    found = placed(robot, poses.parameters(fit.z))
+    deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
+    return Calibration(
+        found, robot, names, fit.z * scale, deviation, scale, covariance, chi2, len(q), before, after, inexact
     )
+
+
+def _as_described(robot: Described, earth: Any, owner: str) -> Described:
+    """Return the robot with its moments and the field of the Earth; refuse one that cannot be calibrated."""
+    require(robot.magnets and robot.sensors, "robot", owner, "one with magnets and sensors", "neither")
+    expected = "one whose readings are multipoles of its magnets"
+    require(robot.model is None, "robot", owner, expected, "networks")
     if earth is not None:
         robot = robot.replaced(earth=earth)
-    robot = robot.replaced(moments=sensing_of(robot).moments, source=robot.source)
-    described = robot.replaced(imus=(), noise=None)
-    n = described.n_readings
+    return robot.replaced(moments=sensing_of(robot).moments, source=robot.source)
+
+
+def _measured(
+    robot: Assembly, described: Assembly, q: Any, u: Any, rows: Sequence[str] | None, owner: str
+) -> tuple[Array, Array, Sequence[str] | None]:
+    """Return poses, magnetic readings and what messages call each pose; refuse what does not fit together."""
     at = None
     if is_table(q):
         table = read_table(q)
@@ -252,80 +287,73 @@ def calibrate(
     since = u.times if isinstance(u, Readings) else None
     if at is not None and since is not None and len(at) == len(since):
         apart = float(np.abs(at - since).max())
-        require(
-            apart < 0.05,
-            "times",
-            owner,
-            "those of the poses, within 0.05 s",
-            f"times up to {apart:.3g} s off",
-        )
-    u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, :n]
-    near = sensing_of(described).too_near(q)
-    for row, k in np.argwhere(near)[:1]:
+        received = f"times up to {apart:.3g} s off"
+        require(apart < 0.05, "times", owner, "those of the poses, within 0.05 s", received)
+    u = numbers(u, "u", owner, (len(q), robot.n_readings))[:, : described.n_readings]
+    for row, k in np.argwhere(sensing_of(described).too_near(q))[:1]:
         name = robot.part_names[robot.parts[k]]
         expected = f"farther from every magnet, where its field is known (row {row + 1} of the poses)"
         raise bad_input(name, "the robot", expected, "within the sphere around a magnet")
-    std = _noise_of(robot, noise, n, owner)
-    zero = np.zeros((robot.n_q, robot.n_q))
-    sigma = zero if q_covariance is None else numbers(q_covariance, "q_covariance", owner, (..., *zero.shape))
-    shapes = zero.shape, (len(q), *zero.shape)
-    require(
-        sigma.shape in shapes, "q_covariance", owner, f"one, or one for each of {len(q)} poses", sigma.shape
-    )
-    check_poses(robot, q, sigma, rows)
-    priors = priors_of(described, tolerances or Tolerances())
-    names, scale = tuple(priors), np.array(list(priors.values()))
+    return q, u, rows
 
-    def whitened(z: Array) -> tuple[Array, Array, Array]:
-        """Residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, root of the noise."""
-        parameters = dict(zip(names, (z * scale).tolist(), strict=True))
-        moved = sensing_of(placed(described, parameters))
-        u_hat, J_q = moved.linearise(q)
-        J = slopes_of(described, moved, parameters, q) * scale
-        noise = np.diag(std**2) + J_q @ sigma @ np.swapaxes(J_q, -1, -2)
-        rows = np.concatenate([(u - u_hat)[..., None], J], axis=-1)
+
+def _covariance_of(q_covariance: Any, n: int, n_q: int, owner: str) -> Array:
+    """Return the covariance of all poses, or of each; zero if not given."""
+    if q_covariance is None:
+        return np.zeros((n_q, n_q))
+    sigma = numbers(q_covariance, "q_covariance", owner, (..., n_q, n_q))
+    fits = sigma.shape in ((n_q, n_q), (n, n_q, n_q))
+    require(fits, "q_covariance", owner, f"one, or one for each of {n} poses", sigma.shape)
+    return sigma
+
+
+class _Poses(NamedTuple):
+    """Readings in measured poses, and how uncertain both are."""
+
+    described: Assembly
+    names: tuple[str, ...]
+    scale: Array
+    q: Array
+    u: Array
+    std: Array
+    sigma: Array
+
+    def parameters(self, z: Array) -> dict[str, float]:
+        """Return parameters by name, of ``z`` in units of their tolerances."""
+        return dict(zip(self.names, (z * self.scale).tolist(), strict=True))
+
+    def whitened(self, z: Array) -> tuple[Array, Array, Array]:
+        """Return residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, root of the noise."""
+        parameters = self.parameters(z)
+        moved = sensing_of(placed(self.described, parameters))
+        u_hat, J_q = moved.linearise(self.q)
+        J = slopes_of(self.described, moved, parameters, self.q) * self.scale
+        noise = np.diag(self.std**2) + J_q @ self.sigma @ np.swapaxes(J_q, -1, -2)
+        rows = np.concatenate([(self.u - u_hat)[..., None], J], axis=-1)
         root = np.linalg.cholesky(noise)
         rows = np.linalg.solve(root, rows).reshape(-1, 1 + len(z))
-        require(np.isfinite(rows).all(), "numbers", owner, "finite", "infinite ones")
+        require(np.isfinite(rows).all(), "numbers", "calibrate", "finite", "infinite ones")
         return rows[:, 0], rows[:, 1:], root
 
-    z, eye = np.zeros(len(scale)), np.eye(len(scale))
-    with np.errstate(all="ignore"):
-        try:
-            r, J, root = first, _, _ = whitened(z)
-            damping = 0.0
-            for _ in range(_ITERATIONS):
-                hessian = J.T @ J + eye
-                step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), J.T @ r - z)
-                trial, slopes, wider = whitened(z + step)
-                if trial @ trial + np.square(z + step).sum() <= 1.01 * (r @ r + z @ z) + 1e-6:
-                    r, J, root, z = trial, slopes, wider, z + step
-                    damping = damping / 10 if damping > _DAMPING else 0.0
-                else:
-                    damping = max(10 * damping, _DAMPING)
-                if np.abs(step).max() < 1e-6:
-                    break
-            covariance = np.linalg.inv(J.T @ J + eye)
-            before, after, own, left_out = _by_pose(first, r, J, covariance, len(q))
-            off = (root @ left_out[0][..., None])[..., 0]
-            inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
-        except (np.linalg.LinAlgError, OverflowError, InputError) as error:
-            raise _refused(f"a fit that ends in no robot ({error})") from error
+    def trial(self, z: Array) -> Trial:
+        """Return what a robot with these parameters leaves of the readings."""
+        r, J, root = self.whitened(z)
+        return Trial(r @ r, lambda: (r @ r, J.T @ J, J.T @ r), (r, J, root))
+
+
+def _judge(
+    z: Array, names: Sequence[str], before: float, after: float, own: Array, rows: Sequence[str] | None
+) -> None:
+    """Refuse a fit that predicts poses no better than the drawing, or too badly, or from parts that are far off."""
     worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
     # Fewer than ten poses hardly predict another one.
-    no_better = after >= before and (mostly > 2.0 or (len(q) >= 10 and after > 1.5))
+    no_better = after >= before and (mostly > 2.0 or (len(own) >= 10 and after > 1.5))
     if no_better or not mostly <= _MOST or own[worst] > _OUTLIER * max(mostly, 0.8):
         against = f"{after:.3g} standard deviations against {before:.3g} as described"
         where = f"worst in {rows[worst] if rows else f'row {worst + 1}'}, by {own[worst]:.3g}"
         raise _refused(f"a fit that predicts a pose from the others to {against}, {where}")
     if abs(z[far]) > _FARTHEST:
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
-    found = placed(robot, dict(zip(names, (z * scale).tolist(), strict=True)))
-    deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
-    return Calibration(
-        found, robot, names, z * scale, deviation, scale, covariance, chi2, len(q), before, after,
-        inexact,
-    )  # fmt: skip
 
 
 def outside(robot: Assembly, q: Array, q_covariance: Any = 0.0) -> Array:
