@@ -12,7 +12,6 @@ them is at its own optimum, and only its Schur complement counts.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from repro.chain import Chain, FreeBody, Place, place, point_on, rotation_matrix, unit_quaternions
 from repro.common import Array, bad_input, is_table, numbers, require
+from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
 from repro.estimators.trajectory import Trajectory
 from repro.parts import Assembly, Mounted
@@ -340,36 +340,50 @@ class _Search:
     def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
         """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""
         n = len(self.places)
-        prior = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)
-        prior[:6] *= wider
-        weight = np.repeat(1 / np.array(self.noise), 3 * n)
-        moved, damping, cost, q = np.zeros(len(prior)), 1e-3, math.inf, None
-        trial, delta, H, g, limit, typical = rig, moved, np.eye(len(prior)), moved, np.inf, 1.0
-        for _ in range(_RIG_ITERATIONS):
-            u, places = _readings(T, trial), self.mounted(trial)
-            x, _, _, chi2, used = self.best(u, places) if q is None else self.fit(q, u, places, _TOLERANCE)
-            penalty = np.square((moved + delta) / prior).sum()
-            if np.minimum(chi2, limit).sum() + penalty < cost:
-                rig, q, moved, damping = trial, x, moved + delta, damping / 10
-                dof = np.maximum(used - self.free.sum(), 1)
-                typical = max(1.0, float(np.median(chi2 / dof)))
-                # A shape that fits a hundred times as badly as most counts as one that fits ten times as badly.
-                limit = 10 * typical * dof
-                cost = np.minimum(chi2, limit).sum() + penalty
-                shares = weight * np.sqrt(np.minimum(1.0, limit / np.maximum(chi2, 1e-300)))[:, None]
-                H, g = _eliminated(_Bodies(self.robot, places), x, u, shares, self.free)
-                H, g = H + np.diag(prior**-2), g - moved / prior**2
-            else:
-                damping *= 10
-            delta = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
-            if delta @ H @ delta < 1e-8:
-                break
-            trial = _moved(rig, delta)
-        deviation = np.sqrt(typical * np.diag(np.linalg.inv(H)))
-        return replace(rig, deviation=deviation.reshape(1 + n, 6))
+        std = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)
+        std[:6] *= wider
+        trials = _RigTrials(self, T, rig)
+        fit = gauss_newton(trials.trial, std**-2, iterations=_RIG_ITERATIONS, tolerance=_TOLERANCE)
+        deviation = np.sqrt(trials.typical * np.diag(np.linalg.inv(fit.information)))
+        return replace(trials.rig, deviation=deviation.reshape(1 + n, 6))
 
 
-def _eliminated(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
+class _RigTrials:
+    """Rigs that are tried: by how much each moves the frames of the last one that was better.
+
+    A shape that fits a hundred times as badly as most counts as one that fits ten times as badly.
+    """
+
+    def __init__(self, search: _Search, T: Array, rig: Rig) -> None:
+        self.search, self.T, self.rig = search, T, rig
+        self.z, self.q, self.limit, self.typical = np.zeros(6 * (1 + len(search.places))), None, np.inf, 1.0
+
+    def trial(self, z: Array) -> Trial:
+        """Return what the shapes leave of the poses, each at its best for this rig."""
+        rig = _moved(self.rig, z - self.z)
+        u, places = _readings(self.T, rig), self.search.mounted(rig)
+        if self.q is None:
+            q, _, _, chi2, used = self.search.best(u, places)
+        else:
+            q, _, _, chi2, used = self.search.fit(self.q, u, places, _TOLERANCE)
+        return Trial(float(np.minimum(chi2, self.limit).sum()), lambda: self._taken(z, rig, q, u, chi2, used))
+
+    def _taken(
+        self, z: Array, rig: Rig, q: Array, u: Array, chi2: Array, used: Array
+    ) -> tuple[float, Array, Array]:
+        """Go on from a better rig, with new weights of the shapes."""
+        search = self.search
+        self.z, self.rig, self.q = z, rig, q
+        dof = np.maximum(used - search.free.sum(), 1)
+        self.typical = max(1.0, float(np.median(chi2 / dof)))
+        self.limit = 10 * self.typical * dof
+        shares = np.sqrt(np.minimum(1.0, self.limit / np.maximum(chi2, 1e-300)))[:, None]
+        weight = np.repeat(1 / np.array(search.noise), 3 * len(search.places)) * shares
+        cost = float(np.minimum(chi2, self.limit).sum())
+        return cost, *_equations(_Bodies(search.robot, search.mounted(rig)), q, u, weight, search.free)
+
+
+def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
     """Return information and gradient of the rig, with the shapes at their best for every rig."""
     t, n = len(q), len(model.places)
     R = model.robot.poses(q, model.places)[..., :3, :3]
@@ -384,9 +398,7 @@ def _eliminated(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) 
     K = np.where(there, weight, 0.0)[..., None] * K.reshape(t, 6 * n, -1)
     J = np.where(there, weight, 0.0)[..., None] * J[..., free]
     r = np.where(there, r, 0.0)
-    by_shape = np.linalg.pinv(np.swapaxes(J, 1, 2) @ J, hermitian=True)
-    seen = J @ (by_shape @ (np.swapaxes(J, 1, 2) @ K))  # the part of K that shapes can take over
-    return np.einsum("tsk,tsl->kl", K, K - seen), np.einsum("tsk,ts->k", K - seen, r)
+    return eliminated(K, J, r)
 
 
 def _moved(rig: Rig, delta: Array) -> Rig:
