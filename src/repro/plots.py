@@ -94,18 +94,7 @@ def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:
 
 
 def _draw(ax: Any, robot: Assembly, q: Array, colour: str, name: str | None) -> None:
-    around = np.linspace(0, 2 * math.pi, 25)
-    for g, segment in enumerate(robot.segments, 1):
-        share = np.linspace(0, 1, 25) if segment.length else np.ones(1)
-        T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
-        line = 1e3 * T[:, :3, 3]
-        ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
-        ring = segment.sizes[1] * np.stack([np.cos(around), np.sin(around), 0 * around])
-        if 0 < np.ptp(ring) < 2 * segment.length:
-            tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
-            ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
-            for end in (tube[0], tube[-1]):
-                ax.plot(*end, color=colour, lw=0.8, alpha=0.6)
+    _draw_segments(ax, robot, q, colour, name)
 
     def poses(parts: Sequence[Any]) -> Any:
         found = robot.poses(q, [part.place for part in parts])
@@ -124,6 +113,21 @@ def _draw(ax: Any, robot: Assembly, q: Array, colour: str, name: str | None) -> 
     for _, at, R in poses(robot.imus):
         for axis, tone in zip(R.T, _COLOURS[1:4], strict=True):
             ax.quiver(*at, *(arrow * axis), color=tone, lw=1.5, label="IMU")
+
+
+def _draw_segments(ax: Any, robot: Assembly, q: Array, colour: str, name: str | None) -> None:
+    around = np.linspace(0, 2 * math.pi, 25)
+    for g, segment in enumerate(robot.segments, 1):
+        share = np.linspace(0, 1, 25) if segment.length else np.ones(1)
+        T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
+        line = 1e3 * T[:, :3, 3]
+        ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
+        ring = segment.sizes[1] * np.stack([np.cos(around), np.sin(around), 0 * around])
+        if 0 < np.ptp(ring) < 2 * segment.length:
+            tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
+            ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
+            for end in (tube[0], tube[-1]):
+                ax.plot(*end, color=colour, lw=0.8, alpha=0.6)
 
 
 def plot_shape(shape: Any, axes: Any = None) -> Any:

@@ -209,54 +209,31 @@ def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
 
 
 def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
-    """Slopes of readings by the parameters ``[poses, s, k]``.
+    """Return slopes of readings by the parameters ``[poses, s, k]``.
 
     The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
     """
-    robot, gain, own = moved.robot, moved.tables.gain, parameters.get
+    robot, gain = moved.robot, moved.tables.gain
     u, wrench = moved.wrenches(q)
     on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
     frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
     columns: dict[str, Array] = {}
-    for k, part in enumerate(described.magnets):
-        name, F = f"magnet {k + 1} ", frames[:, k, :3, :3]
-        R = F @ part.place.rotation
-        centre = frames[:, k, :3, 3] + F @ robot.magnets[k].place.position
-        turns = np.stack([np.eye(3)[:, 0], _about(0, own(name + "tilt about x", 0.0))[:, 1]], axis=1)
-        force = wrench[:, :, k, :3]
-        torque = wrench[:, :, k, 3:] - np.cross(centre[:, None], force)
-        by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
-        columns |= {name + x: by[..., c] * gain for c, x in enumerate(_MAGNET)}
-    row = 0
-    for j, part in enumerate(described.sensors):
-        name, place, F = f"sensor {j + 1} ", robot.sensors[j].place, frames[:, n_m + j, :3, :3]
-        turned = _about(2, own(name + "azimuth", 0.0))
-        at = frames[:, n_m + j, :3, 3] + F @ place.position
-        rows = slice(row, row + part.axes)
-        total = wrench[:, rows].sum(2)
-        force, torque = total[..., :3], total[..., 3:] - np.cross(at[:, None], total[..., :3])
-        around = np.cross([0.0, 0.0, 1.0], place.position)
-        outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
-        across = -(turned @ part.place.rotation)[:, 1]
-        tilted = turned @ part.place.rotation @ _about(1, -own(name + "tilt", 0.0))
-        slopes = {
-            "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
-            "radius": _work(force, F @ outwards),
-            "tilt": _work(torque, F @ across),
-        }
-        slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
-        slopes["tilt about x"] = _work(torque, F @ tilted[:, 0])
-        slopes["tilt about z"] = _work(torque, F @ place.rotation[:, 2])
-        for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
-            slopes[x] = u[:, rows] * axis / (1 + own(name + x, 0.0))
-        for x, slope in slopes.items():
-            columns[name + x] = np.zeros(u.shape)
-            columns[name + x][:, rows] = slope * gain[rows]
-        row += part.axes
+    for k in range(n_m):
+        columns |= _of_magnet(described, robot, k, frames[:, k], wrench[:, :, k], parameters)
+    first = np.cumsum([0, *(part.axes for part in robot.sensors)])
+    for j in range(len(robot.sensors)):
+        rows = slice(first[j], first[j + 1])
+        own = _of_sensor(
+            described, robot, j, frames[:, n_m + j], wrench[:, rows].sum(2), u[:, rows], parameters
+        )
+        for name, slope in own.items():
+            columns[name] = np.zeros(u.shape)
+            columns[name][:, rows] = slope
     before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
     for name in dict.fromkeys(names.T.ravel().tolist()):
         one = np.where(names == name, before, 0.0)
-        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)] * gain
+        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)]
+    columns = {name: slope * gain for name, slope in columns.items()}
     for name in parameters.keys() - columns.keys():
         up, down = (
             sensing_of(placed(described, {**parameters, name: parameters[name] + h}))(q)[:, : len(gain)]
@@ -264,6 +241,48 @@ def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, floa
         )
         columns[name] = (up - down) / (2 * _STEP)
     return np.stack([columns[name] for name in parameters], axis=-1)
+
+
+def _of_magnet(
+    described: Assembly, robot: Assembly, k: int, frame: Array, wrench: Array, parameters: Mapping[str, float]
+) -> dict[str, Array]:
+    """Slopes of all readings by place and tilt of a magnet."""
+    name, F = f"magnet {k + 1} ", frame[:, :3, :3]
+    R = F @ described.magnets[k].place.rotation
+    centre = frame[:, :3, 3] + F @ robot.magnets[k].place.position
+    tilt = parameters.get(name + "tilt about x", 0.0)
+    turns = np.stack([np.eye(3)[:, 0], _about(0, tilt)[:, 1]], axis=1)
+    force = wrench[..., :3]
+    torque = wrench[..., 3:] - np.cross(centre[:, None], force)
+    by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
+    return {name + x: by[..., c] for c, x in enumerate(_MAGNET)}
+
+
+def _of_sensor(
+    described: Assembly, robot: Assembly, j: int, frame: Array, wrench: Array, u: Array,
+    parameters: Mapping[str, float],
+) -> dict[str, Array]:  # fmt: skip
+    """Slopes of a sensor's own readings by its place, tilt and gain."""
+    name, part, place = f"sensor {j + 1} ", described.sensors[j], robot.sensors[j].place
+    F, at = frame[:, :3, :3], frame[:, :3, 3] + frame[:, :3, :3] @ place.position
+    azimuth, tilt = (parameters.get(name + x, 0.0) for x in ("azimuth", "tilt"))
+    turned = _about(2, azimuth)
+    force, torque = wrench[..., :3], wrench[..., 3:] - np.cross(at[:, None], wrench[..., :3])
+    around = np.cross([0.0, 0.0, 1.0], place.position)
+    outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
+    across = -(turned @ part.place.rotation)[:, 1]
+    tilted = turned @ part.place.rotation @ _about(1, -tilt)
+    slopes = {
+        "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
+        "radius": _work(force, F @ outwards),
+        "tilt": _work(torque, F @ across),
+        "tilt about x": _work(torque, F @ tilted[:, 0]),
+        "tilt about z": _work(torque, F @ place.rotation[:, 2]),
+    }
+    slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
+    for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
+        slopes[x] = u * axis / (1 + parameters.get(name + x, 0.0))
+    return {name + x: slope for x, slope in slopes.items()}
 
 
 def _work(force: Array, motion: Array) -> Array:

@@ -29,7 +29,7 @@ import numpy as np
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
 from repro.estimators.base import information_of_bounds
-from repro.estimators.gauss_newton import Trial, gauss_newton
+from repro.estimators.gauss_newton import Fit, Trial, gauss_newton
 from repro.parts import Assembly, Source
 from repro.sensing import Sensing, sensing_of
 from repro.tables import Readings, configurations_of, read_readings, read_table
@@ -245,16 +245,13 @@ def calibrate(
         try:
             fit = gauss_newton(poses.trial, np.ones(len(scale)), iterations=_ITERATIONS, slack=_SLACK)
             covariance = np.linalg.inv(fit.information)
-            (first, _, _), (r, J, root) = fit.first.details, fit.last.details
-            before, after, own, left_out = _by_pose(first, r, J, covariance, len(q))
-            off = (root @ left_out[0][..., None])[..., 0]
-            inexact = _model_error(off, root @ left_out[1] @ np.swapaxes(root, -1, -2), own)
+            before, after, own, inexact = _by_pose(fit, covariance, len(q))
         except (np.linalg.LinAlgError, OverflowError, InputError) as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
 
     _judge(fit.z, names, before, after, own, rows)
     found = placed(robot, poses.parameters(fit.z))
-    deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(r**2))
+    deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(fit.last.details[0] ** 2))
     return Calibration(
         found, robot, names, fit.z * scale, deviation, scale, covariance, chi2, len(q), before, after, inexact
     )
@@ -338,7 +335,8 @@ class _Poses(NamedTuple):
     def trial(self, z: Array) -> Trial:
         """Return what a robot with these parameters leaves of the readings."""
         r, J, root = self.whitened(z)
-        return Trial(r @ r, lambda: (r @ r, J.T @ J, J.T @ r), (r, J, root))
+        cost = float(r @ r)
+        return Trial(cost, lambda: (cost, J.T @ J, J.T @ r), (r, J, root))
 
 
 def _judge(
@@ -398,20 +396,20 @@ def _noise_of(robot: Assembly, noise: Any, n: int, owner: str) -> Array:
     return np.broadcast_to(std, (n,))
 
 
-def _by_pose(
-    first: Array, r: Array, J: Array, C: Array, poses: int
-) -> tuple[float, float, Array, tuple[Array, Array]]:
+def _by_pose(fit: Fit, C: Array, poses: int) -> tuple[float, float, Array, Array]:
     """Return what poses are off: as described, as the others predict them, and each in the unit of this prediction.
 
-    The first two are medians. Last comes what the readings of each pose are off the prediction ``[poses, s]``, with
-    its covariance.
+    The first two are medians. Last comes the covariance of what the model cannot describe.
     """
+    first, (r, J, root) = fit.first.details[0], fit.last.details
     r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
     apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
     predicted = np.linalg.solve(apart, r[..., None])[..., 0]
     squares = first.reshape(r.shape) ** 2, predicted**2, r * predicted
     before, after, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
-    return float(np.median(before)), float(np.median(after)), own, (predicted, np.linalg.inv(apart))
+    expected = root @ np.linalg.inv(apart) @ np.swapaxes(root, -1, -2)
+    inexact = _model_error((root @ predicted[..., None])[..., 0], expected, own)
+    return float(np.median(before)), float(np.median(after)), own, inexact
 
 
 def _model_error(off: Array, expected: Array, own: Array) -> Array:
