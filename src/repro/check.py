@@ -15,6 +15,7 @@ leave most are hardly determined. A sensor adds :math:`\log\det(A + I)/2` with i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,10 +146,7 @@ def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> Desig
     False
     """
     owner = "check"
-    stated: Any = (robot.lower, robot.upper, robot.total_noise)
-    lower, upper, noise = stated
-    for name, value in (("bounds", lower), ("noise", noise)):
-        require(value is not None, name, owner, "stated by the robot", "none")
+    lower, upper, noise = _stated(robot, owner)
     require(samples > 1, "samples", owner, "at least 2", samples)
     sensing, free = sensing_of(robot), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
@@ -157,13 +155,39 @@ def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> Desig
     good = np.isfinite(u).all(-1) & np.isfinite(J).all((-2, -1))
     require(good.sum() > 1, "robot", owner, "one with finite readings", "none in most shapes")
     q, u, J = q[good], u[good], J[good]
-    inside = sensing.too_near(q)
-    beyond = robot.missing(u) == 2
+    inside, beyond = sensing.too_near(q), robot.missing(u) == 2
+
     p, G = robot.tip_slopes(q)
     scale = (upper - lower)[free] / math.sqrt(12)
     H = np.where((beyond | inside)[..., None], 0.0, J[..., free] * scale / noise[:, None])
-    A, tips = np.swapaxes(H, 1, 2) @ H, G[..., free] * scale
-    values, vectors = np.linalg.eigh(A)
+    off = _off_drawing(robot, sensing, q)
+    tip, within, built, hardly = _deviations(H, G[..., free] * scale, off, noise)
+    spread = float(np.sqrt(np.square(p - p.mean(0)).sum(-1).mean()))
+    expected = "one whose tip moves (add a link beyond a joint)"
+    require(spread > 1e-9, "robot", owner, expected, "one whose tip stays")
+
+    names = np.array(robot.coordinates)[free].tolist()
+    can_work, verdict = _verdict(tip, within, built, spread)
+    return DesignCheck(
+        q, tip, within, built, spread, _added(robot, H), _saturated(robot, u, beyond),
+        _combinations(names, hardly), _notes(robot, inside, names), can_work, verdict,
+    )  # fmt: skip
+
+
+def _stated(robot: Assembly, owner: str) -> tuple[Array, Array, Array]:
+    """Return bounds and noise, or refuse a robot without."""
+    stated: Any = (robot.lower, robot.upper, robot.total_noise)
+    for name, value in (("bounds", stated[0]), ("noise", stated[2])):
+        require(value is not None, name, owner, "stated by the robot", "none")
+    return stated
+
+
+def _deviations(H: Array, tips: Array, off: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
+    """Return deviations of the tip: by readings, with bounds, as built; and shares of coordinates hardly determined.
+
+    ``H`` are slopes of the readings in units of the ``noise``; ``off`` is by how much parts may move the readings.
+    """
+    values, vectors = np.linalg.eigh(np.swapaxes(H, 1, 2) @ H)
     empty = values <= 1e-12 * np.maximum(values[:, -1:], 1.0)
     inverse = np.where(empty, 0.0, 1 / np.where(empty, 1.0, values))
     along = np.square(tips @ vectors).sum(1)
@@ -173,34 +197,27 @@ def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> Desig
     left = 1 / (1 + np.maximum(values, 0.0))
     within = (along * left).sum(1)
     gain = tips @ (vectors * left[:, None]) @ np.swapaxes(H @ vectors, 1, 2) / noise
-    built = np.sqrt(within + np.square(gain @ _off_drawing(robot, sensing, q)).sum((1, 2)))
-    within, spread = np.sqrt(within), float(np.sqrt(np.square(p - p.mean(0)).sum(-1).mean()))
-    require(
-        spread > 1e-9,
-        "robot",
-        owner,
-        "one whose tip moves (add a link beyond a joint)",
-        "one whose tip stays",
-    )
-    names = [name for name, is_free in zip(robot.coordinates, free, strict=True) if is_free]
+    built = np.sqrt(within + np.square(gain @ off).sum((1, 2)))
     hardly = np.square(vectors) * (left > _UNDETERMINED**2)[:, None]
+    return tip, np.sqrt(within), built, hardly.sum(-1).mean(0)
+
+
+def _notes(robot: Assembly, inside: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """Return what else deserves a look, by which readings are too near a magnet, and names of free coordinates."""
     notes = tuple(
         f"{name} comes so close to a magnet that its field is not known there; its readings count nothing then"
         for k, name in enumerate(robot.part_names)
         if inside[:, robot.parts == k].any()
     )
-    if sensing.n_readings <= len(names):
-        few = f"{sensing.n_readings} readings for {len(names)} unknowns, none to spare"
+    if robot.n_readings <= len(names):
+        few = f"{robot.n_readings} readings for {len(names)} unknowns, none to spare"
         notes += (f"{few}: a sensor that fails is never noticed",)
     notes += mirrors_in_words(robot)
     if robot.start is not None:
-        at_end = ((robot.start <= lower) | (robot.start >= upper)) & free & ~robot.free_angles.free
+        at_end = (robot.start <= robot.lower) | (robot.start >= robot.upper)
+        at_end &= ~robot.fixed & ~robot.free_angles.free
         notes += tuple(f"{robot.coordinates[c]} starts at a bound" for c in np.flatnonzero(at_end))
-    can_work, verdict = _verdict(tip, within, built, spread)
-    return DesignCheck(
-        q, tip, within, built, spread, _added(robot, H, A), _saturated(robot, u, beyond),
-        _combinations(names, hardly.sum(-1).mean(0)), notes, can_work, verdict,
-    )  # fmt: skip
+    return notes
 
 
 _MIRRORS = (((1.0, 1.0), (1, 0)), ((-1.0, 1.0), (0, 1)), ((1.0, -1.0), (0, 1)))
@@ -261,9 +278,9 @@ def _off_drawing(robot: Assembly, sensing: Any, q: Array) -> Array:
     return np.concatenate([rows, off], axis=-1)
 
 
-def _added(robot: Assembly, H: Array, A: Array) -> dict[str, float]:
-    eye, added = np.eye(A.shape[-1]), {}
-    whole = np.linalg.slogdet(A + eye)[1]
+def _added(robot: Assembly, H: Array) -> dict[str, float]:
+    eye, added = np.eye(H.shape[-1]), {}
+    whole = np.linalg.slogdet(np.swapaxes(H, 1, 2) @ H + eye)[1]
     for k, name in enumerate(robot.part_names):
         others = H[:, robot.parts != k]
         without = np.linalg.slogdet(np.swapaxes(others, 1, 2) @ others + eye)[1]

@@ -451,6 +451,43 @@ def _fitted(
     robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
 ) -> Poses:
     """Return the configurations that fit bodies best."""
+    names, T = _bodies_on_ends(robot, motion, owner, bodies)
+    ways, remarks = {0: T}, list(motion.remarks)
+    if straight_s > 0:
+        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names, owner))
+        T = ways[0]
+        axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
+        x, _, z = (
+            "-+"[int(own[k] > 0)] + "xyz"[k] for own, k in zip(axes.T, np.abs(axes).argmax(0), strict=True)
+        )
+        remarks.append(
+            f"By the axes of {owner}, the straight robot points along {z}, and x of its base along {x}."
+        )
+    require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
+
+    shapes = fit_shape(robot, T, times=motion.times)
+    q, miss = shapes.q.copy(), shapes.residual
+    typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
+    remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
+    hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
+    hint += "A straight start tells the axes: --straight-s)"
+    expected = f"those that the robot can take, {hint}"
+    require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
+    _check_turns(shapes.residuals[..., 3:], names, owner)
+
+    far = miss > most
+    q[far] = np.nan
+    _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
+    _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
+    found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
+    found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
+    return Poses(motion.times, q, motion.lines, tuple(remarks), found)
+
+
+def _bodies_on_ends(
+    robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str]
+) -> tuple[list[str], Array]:
+    """Return the names of the bodies on the ends of the segments, and their poses ``[t, n, 4, 4]``, z up."""
     n, there = len(robot.segments), list(motion.bodies)
     short = {name.rpartition(":")[2]: name for name in there}  # Vicon: subject:segment
     names = [short.get(name, name) for name in bodies] or there
@@ -462,41 +499,17 @@ def _fitted(
     if motion.up == "y":
         poses = poses[..., [0, 2, 1, 3, 5, 4, 6]] * [1, -1, 1, 1, -1, 1, 1]
     T = measured_poses(poses, owner)
-    if len(names) > n:
-        T = np.linalg.inv(T[:, :1]) @ T[:, 1:]
-    ways, remarks = {0: T}, list(motion.remarks)
-    if straight_s > 0:
-        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names[-n:], owner))
-        T = ways[0]
-        axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
-        x, _, z = (
-            "-+"[int(own[k] > 0)] + "xyz"[k] for own, k in zip(axes.T, np.abs(axes).argmax(0), strict=True)
-        )
-        remarks.append(
-            f"By the axes of {owner}, the straight robot points along {z}, and x of its base along {x}."
-        )
-    require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
-    shapes = fit_shape(robot, T, times=motion.times)
-    q, miss = shapes.q.copy(), shapes.residual
-    typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
-    remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
-    hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
-    hint += "A straight start tells the axes: --straight-s)"
-    expected = f"those that the robot can take, {hint}"
-    require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
-    for name, turns in zip(names[-n:], np.swapaxes(shapes.residuals[..., 3:], 0, 1), strict=True):
-        sizes = np.linalg.norm(turns[np.isfinite(turns[:, 0])], axis=-1)
+    return names[-n:], np.linalg.inv(T[:, :1]) @ T[:, 1:] if len(names) > n else T
+
+
+def _check_turns(turns: Array, names: Sequence[str], owner: str) -> None:
+    """Refuse bodies whose axes are mostly turned against the ends of the segments ``[t, n, 3]`` [rad]."""
+    for name, own in zip(names, np.swapaxes(turns, 0, 1), strict=True):
+        sizes = np.linalg.norm(own[np.isfinite(own[:, 0])], axis=-1)
         turned = float(np.median(sizes)) if len(sizes) else 0.0
         expected = "turned as the end of its segment (a straight start takes its own turn away: --straight-s)"
         received = f"turned against it by {math.degrees(turned):.0f} deg"
         require(turned < _TURNED, f"body {name}", owner, expected, received)
-    far = miss > most
-    q[far] = np.nan
-    _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
-    _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
-    found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
-    found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
-    return Poses(motion.times, q, motion.lines, tuple(remarks), found)
 
 
 JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])

@@ -186,11 +186,7 @@ def fit_shape(
     places = places_of(robot, at, T.shape[1], owner)
     require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
     require(robot.n_q, "robot", owner, "one with a coordinate", "none")
-    for k, where in enumerate(places):
-        if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any():  # all others as if this body never moved
-            mount = robot.poses(np.zeros(robot.n_q), [places.pop(k)])[0]
-            T = mount @ np.linalg.inv(T[:, k, None]) @ np.delete(T, k, axis=1)
-            break
+    T, places = _on_the_base(robot, T, places)
     n = T.shape[1]
     require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
     first = rig is None
@@ -203,28 +199,42 @@ def fit_shape(
         shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
         rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
     u, places = _readings(T, rig), search.mounted(rig)
-    far = float(np.nanmedian(np.linalg.norm(u[:, : 3 * n].reshape(-1, 3), axis=-1)))
-    expected = "in metres and in the frame of the base (or fit_rig=True)"
-    loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
-    require(
-        loose or not far > 3 * robot.length, "poses", owner, expected, f"positions {far:.3g} m from the base"
-    )
-    q, u_hat, C, chi2, used = search.best(u, places)
-    # Coordinates of segments that no body was seen on or beyond.
-    last = [where.segment - (where.at == 0 < robot.segments[where.segment - 1].length) for where in places]
-    unknown = search.segment > np.where(np.isfinite(u[:, : 3 * n : 3]), last, 0).max(1)[:, None]
+    _check_near(robot, u[:, : 3 * n], owner)
+
+    found, u_hat, C, chi2, used = search.best(u, places)
+    unknown = search.unseen(u)
     dof = np.maximum(used - (search.free & ~unknown).sum(1), 0)
     if (dof > 0).any():
         C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
-    both = unknown[:, :, None] | unknown[:, None, :]
-    q, C = np.where(unknown, np.nan, q), np.where(both, np.where(np.eye(robot.n_q) == 1, np.inf, np.nan), C)
+    open_ = np.where(np.eye(robot.n_q) == 1, np.inf, np.nan)
+    C = np.where(unknown[:, :, None] | unknown[:, None, :], open_, C)
     at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
     r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
     return FittedShapes(
-        at_times, q, C, u_hat, chi2, dof, u.shape[1] - used, {},
+        at_times, np.where(unknown, np.nan, found), C, u_hat, chi2, dof, u.shape[1] - used, {},
         residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
         robot=robot if isinstance(robot, Assembly) else None,
     )  # fmt: skip
+
+
+def _check_near(robot: Chain, positions: Array, owner: str) -> None:
+    """Refuse positions that are in another unit or frame, by their typical distance from the base."""
+    far = float(np.nanmedian(np.linalg.norm(positions.reshape(-1, 3), axis=-1)))
+    loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
+    expected = "in metres and in the frame of the base (or fit_rig=True)"
+    near = loose or not far > 3 * robot.length
+    require(near, "poses", owner, expected, f"positions {far:.3g} m from the base")
+
+
+def _on_the_base(robot: Chain, T: Array, places: list[Place]) -> tuple[Array, list[Place]]:
+    """Return all other bodies as if one on the base never moved, if there is one whose whole pose was measured."""
+    still = [k for k, where in enumerate(places) if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any()]
+    if not still:
+        return T, places
+    k = still[0]
+    mount = robot.poses(np.zeros(robot.n_q), [places[k]])[0]
+    others = mount @ np.linalg.inv(T[:, k, None]) @ np.delete(T, k, axis=1)
+    return others, places[:k] + places[k + 1 :]
 
 
 def measured_poses(poses: Any, owner: str) -> Array:
@@ -306,6 +316,13 @@ class _Search:
             )
             for where, body in zip(self.places, rig.bodies, strict=True)
         ]
+
+    def unseen(self, u: Array) -> Array:
+        """Return the coordinates ``[t, n_q]`` of segments that no body was seen on or beyond."""
+        lengths = [0.0, *(segment.length for segment in self.robot.segments)]
+        last = [where.segment - (where.at == 0 < lengths[where.segment]) for where in self.places]
+        seen = np.isfinite(u[:, : 3 * len(self.places) : 3])
+        return self.segment > np.where(seen, last, 0).max(1)[:, None]
 
     def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
         """Return configurations, readings there, covariance, chi-square and number of readings used."""

@@ -134,30 +134,44 @@ class GradientDescent:
         batch, s = np.broadcast_shapes(state.q.shape[:-1], u.shape[:-1]), u.shape[-1]
         given: Any = known_coordinates(known, n, owner, self._fixed)
         known = each(given, batch, n)
-        before, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
-        before, b, moves = np.where(free, before, known), np.where(free, b, 0.0), free * self.step_size
+        q, b, free = *(each(x, batch, n) for x in state), np.isnan(known)
+        q, b, moves = np.where(free, q, known), np.where(free, b, 0.0), free * self.step_size
         rows = np.ascontiguousarray(each(u, batch, s))
+        q, later, u_hat, status, lost = self._descended_or_left(q, b, rows, moves)
+        q, there = self.angles.wrapped(q), np.isfinite(rows)
+        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
+        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
+        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
+
+        def shaped(x: Array) -> Array:
+            return x.reshape((*batch, *x.shape[1:]))[()]
+
+        details = {"loss": status[:, 0], "best_iteration": status[:, 1], "left_out": there & lost[:, None]}
+        estimate = Estimate(
+            shaped(np.where(lost[:, None], np.nan, q)),
+            None,
+            shaped(u_hat),
+            shaped(chi2),
+            shaped(np.maximum(n_used - free.sum(1), 0)),
+            shaped(s - n_used),
+            {name: shaped(x) for name, x in details.items()},
+        )
+        return DescentState(shaped(q), shaped(later)), estimate
+
+    def _descended_or_left(
+        self, before: Array, b: Array, rows: Array, moves: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what a descent finds, and which rows it leaves where they were: their readings are absurd."""
         q, later, u_hat, status = self._descended(before, b, rows, moves)
-        loss, best = status.T
-        absurd = (best == 0) & (loss > _ABSURD**2 * np.square(u_hat).mean(1))
+        absurd = (status[:, 1] == 0) & (status[:, 0] > _ABSURD**2 * np.square(u_hat).mean(1))
         lost = absurd | ~np.isfinite(np.hstack([q, later, status])).all(1)
         if lost.any():  # if readings near those of the start lead astray too, it is not the row
             near = 1.01 * self.model.linearise(before[lost])[0]
             again = np.hstack(self._descended(before[lost], 0.0 * b[lost], near, moves[lost]))
             small = "small enough for a finite descent"
-            require(np.isfinite(again).all(), "step_size", owner, small, "NaN on the way")
+            require(np.isfinite(again).all(), "step_size", "GradientDescent", small, "NaN on the way")
             q[lost], later[lost], u_hat[lost] = before[lost], b[lost], np.nan
-        q = self.angles.wrapped(q)
-        there = np.isfinite(rows)
-        details = {"loss": loss, "best_iteration": best, "left_out": there & lost[:, None]}
-        n_used, r = np.where(lost, 0, there.sum(1)), self.model.difference(rows, u_hat)
-        chi2 = np.nansum((r / self.noise) ** 2, axis=-1)
-        chi2 = chi2 if np.isfinite(self.noise).all() else np.full(len(r), np.nan)
-        dof = np.maximum(n_used - free.sum(1), 0)
-        shown = np.where(lost[:, None], np.nan, q), u_hat, chi2, dof, s - n_used, *details.values()
-        told, u_hat, chi2, dof, missing, *rest = (x.reshape((*batch, *x.shape[1:]))[()] for x in shown)
-        found = Estimate(told, None, u_hat, chi2, dof, missing, dict(zip(details, rest, strict=True)))
-        return DescentState(q.reshape(*batch, n), later.reshape(*batch, n)), found
+        return q, later, u_hat, status, lost
 
     def _descended(self, q: Array, b: Array, rows: Array, moves: Array) -> tuple[Array, Array, Array, Array]:
         """Return configuration, momentum, readings there, and loss with its iteration, of every member."""

@@ -450,19 +450,17 @@ def calibrate_imus(
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    owner, values = "calibrate_imus", (noise, rotation, translation, heading, mounting)
-    for name, value in zip(("noise", "rotation", "translation", "heading", "mounting"), values, strict=True):
+    owner = "calibrate_imus"
+    tolerances = {"rotation": rotation, "translation": translation, "heading": heading, "mounting": mounting}
+    for name, value in {"noise": noise, **tolerances}.items():
         require(0 < value < math.inf, name, owner, "positive", value)
     q = unit_quaternions(orientations, "orientations", owner, (None, len(arm.imus), 4))
     seen_at = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
     seen = np.isfinite(seen_at).all(axis=-1)
     require(seen.sum() >= 2, "markers", owner, "at least two positions that were seen", int(seen.sum()))
     seen_at = seen_at[seen]
-    last = max(arm.markers)
-    own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
-    names = tuple(f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz")
-    names += tuple(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y"))
-    scale = np.array([rotation] * 3 + [translation] * 3 + [heading, mounting, mounting] * len(own))
+    names = _errors_of(arm, per_imu)
+    scale = np.array([tolerances[name.split("_")[0]] for name in names])
 
     def predicted(z: Array) -> Array:
         turned = _corrected(q, names, z * scale, arm.imus)
@@ -483,6 +481,14 @@ def calibrate_imus(
     return ImuCalibration(
         names, fit.x * scale, covariance, tuple(arm.imus), float(rms), used, seen.size - used
     )
+
+
+def _errors_of(arm: Arm, per_imu: bool) -> tuple[str, ...]:
+    """Return the names of what may be off: the frame, and heading and mounting of IMUs up to the last marker."""
+    last = max(arm.markers)
+    own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
+    names = [f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz"]
+    return (*names, *(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y")))
 
 
 def calibrated(orientations: Any, calibration: ImuCalibration) -> Array:

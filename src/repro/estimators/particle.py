@@ -289,59 +289,55 @@ class ParticleFilter:
         )
         used, free = np.isfinite(u), np.isnan(known)
 
-        def predicted(q: Array) -> Array:
-            there = (*batch, *q.shape[1:])
-            found = np.ascontiguousarray(self.sensing(q.reshape(there)), dtype=np.float64)
-            if found.shape[:-1] != there[:-1]:
-                raise bad_input(
-                    "sensing", owner, f"a model that takes batches {there}", f"shape {found.shape}"
-                )
-            require(found.shape[-1] == s, "u", owner, f"{found.shape[-1]} readings (last dimension)", s)
-            return found.reshape(-1, q.shape[1], s)
-
-        def error(u_hat: Array) -> Array:
-            """Predicted less measured readings in units of the noise, zero for missing ones."""
-            return np.where(used[:, None], (u_hat - u[:, None]) / noise[:, None], 0.0)
-
         def held(q: Array) -> Array:
             return np.where(free[:, None], q, known[:, None]) if holds else q
 
         q, velocity = held(_members(state.q, batch, n, n_q)), _members(state.velocity, batch, n, n_q)
-        w, squares, size, mean, C, e, S = _weighed(q, predicted(q), u, noise)
+        w, squares, size, mean, C, e, S = _weighed(q, self._predicted(q, batch, s), u, noise)
         if self.angles:
-            mean = self.angles.mean(q, w)
-            off = self.angles.difference(q, mean[:, None])
-            C = np.swapaxes(w[..., None] * off, 1, 2) @ off
-        # The distance of the readings from their mean prediction, normalised by the covariance of predictions and
-        # noise, is chi-square while the filter follows; its cube root is nearly normal (Wilson and Hilferty 1931).
-        dof = np.where(used.any(-1), used.sum(-1), np.nan)
-        try:
-            distance = (e * np.linalg.solve(S + np.eye(s), e[..., None])[..., 0]).sum(-1)
-            distance = np.where(
-                distance >= 0, distance, np.inf
-            )  # rounding leaves nothing of the cloud either
-        except np.linalg.LinAlgError:  # a reading so far off that rounding leaves nothing of the cloud
-            distance = np.full(len(e), np.inf)
-        surprise = ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
+            mean, C = self._turned(q, w)
         best = held(_best_tenth(q, squares) if self.estimate == "best tenth" else mean[:, None])
         C = np.where(free[:, None] & free[..., None], C, 0.0) if holds else C
-        u_hat, n_used = predicted(best), used.sum(-1)
+        u_hat, n_used = self._predicted(best, batch, s), used.sum(-1)
         estimate = Estimate(
             best.reshape(*batch, n_q),
             C.reshape(*batch, n_q, n_q),
             u_hat.reshape(*batch, s),
-            (error(u_hat) ** 2).sum((1, 2)).reshape(batch),
+            (np.where(used[:, None], (u_hat - u[:, None]) / noise[:, None], 0.0) ** 2)
+            .sum((1, 2))
+            .reshape(batch),
             np.maximum(n_used - free.sum(-1), 0).reshape(batch),
             (s - n_used).reshape(batch),
             {
                 "effective_sample_size": size.reshape(batch),
-                "surprise": surprise.reshape(batch),
+                "surprise": _surprise(e, S, used).reshape(batch),
             },
         )
-        generator = _stream(state.seed, state.steps)
-        moved = self._moved(q, velocity, _drawn(w, _points(n, self.resampling, generator)), width, generator)
-        q, velocity = (x.reshape(*batch, n, n_q) for x in moved)
+        q, velocity = (x.reshape(*batch, n, n_q) for x in self._resampled(state, q, velocity, w, width))
         return ParticleState(q, velocity, state.seed, state.steps + 1), estimate
+
+    def _resampled(
+        self, state: ParticleState, q: Array, velocity: Array, w: Array, width: Array
+    ) -> tuple[Array, Array]:
+        """Return particles drawn by their weights, after a step of motion."""
+        generator = _stream(state.seed, state.steps)
+        drawn = _drawn(w, _points(self.particles, self.resampling, generator))
+        return self._moved(q, velocity, drawn, width, generator)
+
+    def _turned(self, q: Array, w: Array) -> tuple[Array, Array]:
+        """Return mean and covariance of particles with angles among their coordinates."""
+        mean = self.angles.mean(q, w)
+        off = self.angles.difference(q, mean[:, None])
+        return mean, np.swapaxes(w[..., None] * off, 1, 2) @ off
+
+    def _predicted(self, q: Array, batch: tuple[int, ...], s: int) -> Array:
+        """Return the readings of particles ``[m, n, n_q]``; the sensor model sees the batch as it came."""
+        there = (*batch, *q.shape[1:])
+        found = np.ascontiguousarray(self.sensing(q.reshape(there)), dtype=np.float64)
+        owner, expected = "ParticleFilter", f"a model that takes batches {there}"
+        require(found.shape[:-1] == there[:-1], "sensing", owner, expected, f"shape {found.shape}")
+        require(found.shape[-1] == s, "u", owner, f"{found.shape[-1]} readings (last dimension)", s)
+        return found.reshape(-1, q.shape[1], s)
 
     def _moved(
         self, q: Array, velocity: Array, drawn: Array, width: Array, generator: np.random.Generator
@@ -374,6 +370,21 @@ def _common(owner: str, **shapes: tuple[int, ...]) -> tuple[int, ...]:
         return np.broadcast_shapes(*shapes.values())
     except ValueError as error:
         raise bad_input(", ".join(shapes), owner, "of batches that fit each other", shapes) from error
+
+
+def _surprise(e: Array, S: Array, used: Array) -> Array:
+    """Return by how many standard deviations readings are too unlikely, by means and covariances of their errors.
+
+    Their distance from the mean prediction, normalised by the covariance of predictions and noise, is chi-square
+    while the filter follows; its cube root is nearly normal (Wilson and Hilferty 1931).
+    """
+    dof = np.where(used.any(-1), used.sum(-1), np.nan)
+    try:
+        distance = (e * np.linalg.solve(S + np.eye(e.shape[-1]), e[..., None])[..., 0]).sum(-1)
+        distance = np.where(distance >= 0, distance, np.inf)  # rounding leaves nothing of the cloud either
+    except np.linalg.LinAlgError:  # a reading so far off that rounding leaves nothing of the cloud
+        distance = np.full(len(e), np.inf)
+    return ((distance / dof) ** (1 / 3) - 1 + 2 / (9 * dof)) / np.sqrt(2 / (9 * dof))
 
 
 def _members(x: Array, batch: tuple[int, ...], *own: int) -> Array:
