@@ -26,9 +26,8 @@ from repro.estimators.calibration import Calibration, calibrate, calibration_tex
 from repro.estimators.drift import Drift, Drifting, DriftModel
 from repro.estimators.kalman import KalmanFilter
 from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.track import Trajectory, track
 from repro.estimators.track import smooth as smoothed
-from repro.estimators.track import track
-from repro.estimators.trajectory import Trajectory
 from repro.robot import Robot
 from repro.robot_file import load_robot
 from repro.tables import read_table

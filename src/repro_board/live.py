@@ -35,7 +35,7 @@ from repro.estimators.monitor import (
     UNDETERMINED,
     Monitor,
 )
-from repro.estimators.trajectory import trajectory
+from repro.estimators.track import trajectory
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.record import Writer, open_port, stopping

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import repro
 from repro import InputError
 from repro.estimators.calibration import Calibration
-from repro.estimators.trajectory import Trajectory
+from repro.estimators.track import Trajectory
 from repro.tolerances import placed
 from repro_board import evaluate
 from repro_board.cli import main

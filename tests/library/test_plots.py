@@ -29,7 +29,7 @@ from repro import (
     simulated_readings,
     track,
 )
-from repro.estimators.trajectory import Trajectory
+from repro.estimators.track import Trajectory
 
 mpl.use("agg")
 

@@ -23,7 +23,7 @@ from repro.chain import Chain, FreeBody, Place, place, point_on, rotation_matrix
 from repro.common import Array, bad_input, is_table, numbers, require
 from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
-from repro.estimators.trajectory import Trajectory
+from repro.estimators.track import Trajectory
 from repro.parts import Assembly, Mounted
 from repro.sensing import batch_difference
 from repro.tables import POSITION_FIRST, bodies_of, read_table

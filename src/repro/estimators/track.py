@@ -1,18 +1,231 @@
-"""The one loop that runs estimators over recorded readings, forwards, and backwards for filters."""
+"""Estimates over time, and the one loop that makes them: forwards over readings, and backwards for filters."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from repro.common import Array, array, bad_input, is_table, numbers, require
-from repro.estimators.base import Estimator, NearMagnets, Watched, robot_of
+from repro.estimators.base import Estimate, Estimator, NearMagnets, Watched, robot_of
 from repro.estimators.kalman import MotionModel, smoothed
-from repro.estimators.monitor import Monitor
-from repro.estimators.trajectory import Trajectory, trajectory
+from repro.estimators.monitor import SAID, STATUS, TRUSTED, Monitor
 from repro.parts import Assembly
+from repro.plots import plot_shape
 from repro.tables import read_readings
+
+_FITTING = tuple(STATUS[number] for number in TRUSTED)
+"""What the monitor says of rows whose readings fit, by name."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Estimates over time: the fields of :class:`Estimate` with a leading dimension of time.
+
+    Parameters
+    ----------
+    times
+        Time of each row [s].
+    q, covariance, u_hat, chi2, dof
+        As in :class:`Estimate`.
+    missing
+        Number of readings that are missing. With a monitor it also counts those that were left out.
+    details
+        More about the estimates, by name. With a monitor, ``left_out`` ``[t, ..., s]`` marks the readings that were
+        left out, and ``growth`` is the factor by which the covariance grew.
+    status
+        What the monitor says of each row: *consistent*; *left out*: the readings of a part do not fit and were left
+        out, the rest fits; *inconsistent*: they do not fit, and it is not decided why; *frozen*: the board repeats
+        itself; *undetermined*: fewer readings than unknowns; *unchecked*: the fit uses up all readings, so that none
+        can contradict; *beyond bounds*: they fit outside the robot's bounds only. ``None`` without a monitor.
+    suspects
+        Parts that the monitor names ``[t, ..., parts]``, as ``robot.part_names``; without a robot every reading is a
+        part of its own.
+    readings
+        What was read ``[t, ..., s]``, if known.
+    robot
+        Whose shape it is, if known: it names coordinates and readings.
+
+    Examples
+    --------
+    >>> Trajectory(np.arange(7.0), np.zeros((7, 3)), None, np.zeros((7, 8)), np.zeros(7), np.zeros(7), np.zeros(7))
+    Trajectory of 7 time steps over 6 s, 3 coordinates, 8 readings
+    chi-square per degree of freedom: not stated
+    0 of 56 readings missing
+    """
+
+    times: Array
+    q: Array
+    covariance: Array | None
+    u_hat: Array
+    chi2: Array
+    dof: Array
+    missing: Array
+    details: dict[str, Array] = field(default_factory=dict)
+    status: Array | None = None
+    suspects: Array | None = None
+    readings: Array | None = None
+    robot: Any = None
+
+    def __repr__(self) -> str:
+        """Return three lines."""
+        n, s = self.q.shape[-1], self.u_hat.shape[-1]
+        span = f"{self.times[-1] - self.times[0]:g} s"
+        fits = True if self.status is None else np.isin(self.status, _FITTING)  # one bad row spoils any mean
+        free, chi2 = np.sum(self.dof, where=fits), np.sum(self.chi2, where=fits)
+        fit = f"{chi2 / free:.3g}" if free and np.isfinite(chi2) else "not stated"
+        counts = {} if self.status is None else Counter(self.status.ravel().tolist())
+        rows = "".join(f"; {n} rows {name}" for name, n in counts.items())
+        if self.suspects is not None and self.suspects.any():
+            n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
+            rows += f"; suspects: {_counted(self._parts(), n_suspect)}"
+        near = self.details.get("too_near")
+        if near is not None and near.any() and self.robot is not None:
+            by_reading = near.reshape(-1, near.shape[-1]).sum(0)
+            first = np.unique(self.robot.parts, return_index=True)[1]
+            rows += f"; left out, too close to a magnet: {_counted(self.robot.part_names, by_reading[first])}"
+        touched = self.at_bounds()
+        rows += f"; at a bound: {_counted(touched, touched.values())}" if touched else ""
+        left = int(np.sum(self.details.get("left_out", 0)))
+        lost = f"{int(np.sum(self.missing)) - left} of {self.u_hat.size} readings missing"
+        return (
+            f"Trajectory of {len(self.times)} time steps over {span}, {n} coordinates, {s} readings\n"
+            f"chi-square per degree of freedom: {fit}\n"
+            f"{lost}{f', {left} left out' * (left > 0)}{rows}"
+        )
+
+    def at_bounds(self) -> dict[str, int]:
+        """Return the coordinates that touch a bound of the robot, and in how many rows."""
+        touched = self._at_bound()
+        if touched is None:
+            return {}
+        counts = touched.reshape(-1, touched.shape[-1]).sum(0).tolist()
+        return {name: n for (name, _, _), n in zip(self.units(), counts, strict=True) if n}
+
+    def _at_bound(self) -> Array | None:
+        """Which coordinates touch a bound ``[t, ..., n_q]``, if the estimator says so."""
+        touched = self.details.get("at_bound")
+        return touched if touched is not None and touched.shape == self.q.shape else None
+
+    def _parts(self) -> Sequence[str]:
+        """Return names of what the monitor may suspect."""
+        suspects: Any = self.suspects
+        if self.robot is not None and len(self.robot.part_names) == suspects.shape[-1]:
+            return self.robot.part_names
+        return [f"u{k}" for k in range(1, suspects.shape[-1] + 1)]
+
+    def units(self) -> list[tuple[str, str, float]]:
+        """Return name, unit in tables and pictures, and factor to it of every coordinate."""
+        if self.robot is None or self.robot.n_q != self.q.shape[-1]:
+            return [(f"q_{k}", "", 1.0) for k in range(1, self.q.shape[-1] + 1)]
+        units = {"kappa": ("rad", 1.0), "phi": ("deg", np.degrees(1.0)), "rotation": ("deg", np.degrees(1.0))}
+        return [(name, *units.get(name.split("_")[0], ("mm", 1e3))) for name in self.robot.coordinates]
+
+    def to_frame(self) -> Any:
+        """Return a data frame with names and units: ``time_s``, coordinates, tip, deviations, fit, status, suspects.
+
+        The last column names the coordinates that touch a bound of the robot.
+
+        A coordinate such as ``delta_x_1_mm`` has the standard deviation ``delta_x_1_sd_mm``. The tip is in the base
+        frame: ``tip_x_mm`` and so on.
+
+        Raises
+        ------
+        InputError
+            If these are several robots at a time.
+        """
+        import pandas as pd
+
+        require(self.q.ndim == 2, "shape", "to_frame", "of one robot", f"estimates of shape {self.q.shape}")
+        columns: dict[str, Array] = {"time_s": self.times}
+
+        def add(units: list[tuple[str, str, float]], values: Array, C: Array | None) -> None:
+            names = [(name, f"_{unit}" if unit else "") for name, unit, _ in units]
+            factor = np.array([factor for _, _, factor in units])
+            columns.update(zip([name + unit for name, unit in names], (values * factor).T, strict=True))
+            if C is not None:
+                std = np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0)) * factor
+                columns.update(zip([f"{name}_sd{unit}" for name, unit in names], std.T, strict=True))
+
+        add(self.units(), self.q, self.covariance)
+        if self.robot is not None and self.robot.n_q == self.q.shape[-1]:
+            known: Any = np.isfinite(self.q).all(-1)
+            p, G = self.robot.tip_slopes(np.where(known[:, None], self.q, 0.0))
+            p[~known], C = np.nan, None
+            if self.covariance is not None:
+                C = G @ np.where(known[:, None, None], self.covariance, 0.0) @ np.swapaxes(G, 1, 2)
+                C[~known] = np.nan
+            add([(f"tip_{axis}", "mm", 1e3) for axis in "xyz"], p, C)
+        columns |= {"chi2": self.chi2, "dof": self.dof, "missing": self.missing}
+        if self.status is not None:
+            columns["status"] = self.status
+        if self.suspects is not None:
+            columns["suspects"] = _listed(self._parts(), self.suspects)
+        touched = self._at_bound()
+        if touched is not None:
+            columns["at_bound"] = _listed([name for name, _, _ in self.units()], touched)
+        return pd.DataFrame(columns)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw coordinates with their 95 % band, readings and residuals over time, and what is suspected.
+
+        Parameters
+        ----------
+        axes
+            As many matplotlib axes as there are panels, one for each unit of coordinates and two for readings; new
+            ones if not given.
+
+        Returns
+        -------
+        numpy.ndarray
+            The axes.
+        """
+        return plot_shape(self, axes)
+
+
+def _counted(names: Iterable[str], counts: Iterable[int]) -> str:
+    return ", ".join(f"{name} in {k} rows" for name, k in zip(names, counts, strict=True) if k)
+
+
+def _listed(names: Sequence[str], marks: Array) -> Array:
+    """Return the names that are marked ``[t, n]`` in every row, as a text."""
+    return np.array([", ".join(n for n, mark in zip(names, row, strict=True) if mark) for row in marks])
+
+
+def trajectory(
+    at: Any,
+    readings: Any,
+    estimates: Sequence[Estimate],
+    robot: Assembly | None,
+    monitor: Monitor | None,
+    mask: Any = None,
+) -> Trajectory:
+    """Put estimates of rows together, with what a monitor said of them."""
+    q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
+    own = [name for name in rest[0] if monitor is None or name not in SAID]
+    details = {name: np.array([row[name] for row in rest]) for name in own}
+    if monitor is not None:  # a frame that comes again adds nothing to a filter, and is there all the same
+        details |= monitor.stacked(rest)
+        there = np.isfinite(readings) & (True if mask is None else mask)
+        details["left_out"] = details["left_out"] & there
+        missing = (~there | details["left_out"]).sum(-1)
+    return Trajectory(
+        np.array(at),
+        np.array(q),
+        None if covariance[0] is None else np.array(covariance),
+        np.array(u_hat),
+        np.array(chi2),
+        np.array(dof),
+        np.array(missing),
+        details,
+        None if monitor is None else np.array(STATUS)[details.pop("status")],
+        details.pop("suspects", None),
+        np.array(readings),
+        robot,
+    )
 
 
 def track(

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from repro import Drift, Drifting, Imu, KalmanFilter, Robot, simulated_readings, track
 from repro.estimators.monitor import INCONSISTENT, Monitor
-from repro.estimators.trajectory import Trajectory
+from repro.estimators.track import Trajectory
 from repro_companion.papers import baaij, martin
 
 RATE_HZ, MINUTES, EVERY = 4.0, 45.0, 4
