@@ -271,6 +271,7 @@ def test_frames_in_turn_of_coarse_sensors_are_new():
     found = track(KalmanFilter(TWO.replaced(sensors=places)), u, times=TIMES[:100])
     assert set(found.status) == {"consistent"}
     assert (found.missing == 0).all()
+    assert (found.dof == 8).all()  # the filter takes in all of them
 
 
 def test_least_squares_on_a_frozen_board_adds_the_square_of_half_a_width_a_second():
