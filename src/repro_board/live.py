@@ -231,7 +231,8 @@ class Session:
         wait, now = not self.pending, time.monotonic()
         if not self.counts or now - self.counts[-1][0] >= SAMPLE_S:
             self.counts.append((now, self.counters()))
-        if now - self.moment.made_s >= MOMENT_S:
+        idle = not self.pending and self.inbox.empty()  # no time step has to wait for a moment, unless all do
+        if now - self.moment.made_s >= (MOMENT_S if idle else 4 * MOMENT_S):
             self.moment = self.look()
         with suppress(queue.Empty):
             self._take(*self.inbox.get(wait, MOMENT_S))
