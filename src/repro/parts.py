@@ -223,6 +223,7 @@ class Mounted(Protocol):
     @property
     def place(self) -> Place:
         """Where it is."""
+        ...
 
 
 class Source(NamedTuple):

@@ -417,6 +417,7 @@ class Linearised(Protocol):
 
     def linearise(self, x: Array) -> tuple[Array, Array]:
         """Return values, and their slopes by ``x``."""
+        ...
 
 
 class Sensing:

@@ -62,11 +62,13 @@ class Estimator(Protocol):
 
     def init(self, q0: Any = None, seed: int = 0) -> Any:
         """Return the state before the first readings."""
+        ...
 
     def step(
         self, state: Any, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
     ) -> tuple[Any, Estimate]:
         """Take in readings."""
+        ...
 
 
 @runtime_checkable
@@ -95,12 +97,15 @@ class Watched(Estimator, Protocol):
     @property
     def bounds(self) -> tuple[Array, Array] | None:
         """Bounds of the coordinates, if there are any."""
+        ...
 
     def parts_of(self, n_readings: int) -> tuple[Array, Array]:
         """Return which part every reading belongs to, and which readings never stay the same ``[s]``."""
+        ...
 
     def widened(self, share: float) -> Any:
         """Return the estimator with bounds a share of their width farther out, or nothing without bounds."""
+        ...
 
 
 _SHAPES = 256

@@ -136,11 +136,8 @@ class BendFilter:
         Lost filters of a trajectory give way to others that begin with the last frames, if these halve the residual.
         """
         n = u.shape[1]
-        whole = Bend(
-            *(np.empty((*u.shape[:2], *shape)) for shape in ((2,), (2, 2), ())),
-            np.zeros(u.shape[:2], bool),
-            np.zeros(n, int),
-        )
+        doubtful, begun = np.zeros(u.shape[:2], bool), np.zeros(n, int)
+        whole = Bend(*(np.empty((*u.shape[:2], *shape)) for shape in ((2,), (2, 2), ())), doubtful, begun)
         state, log_weight = self.begin(u[0])
         lasting = np.zeros(n, dtype=int)
         for k, u_k in enumerate(u):
@@ -156,16 +153,16 @@ class BendFilter:
                         (*state[:3], log_weight, *now[:3]), (*other[:3], weight, *again[:3]), strict=True
                     ):
                         own[i] = new[0]
-                    lasting[i], whole.begun[i] = 0, whole.begun[i] + 1
-            for of_all, of_now in zip(whole[:4], (*now[:3], lasting >= LASTING), strict=True):
+                    lasting[i], begun[i] = 0, begun[i] + 1
+            for of_all, of_now in zip((*whole[:3], doubtful), (*now[:3], lasting >= LASTING), strict=True):
                 of_all[k] = of_now
         return whole
 
     def _anew(self, u: np.ndarray, first: int) -> tuple[KalmanState, np.ndarray, Bend, np.ndarray]:
         """Begin with readings ``[t, 1, s]`` from a frame on; return where that ends, and all residuals."""
-        state, log_weight = self.begin(u[0])
-        residuals = []
-        for k, u_k in enumerate(u, first):
+        state, log_weight, now = self.step(*self.begin(u[0]), u[0], first / RATE_HZ)
+        residuals = [now.residual[0]]
+        for k, u_k in enumerate(u[1:], first + 1):
             state, log_weight, now = self.step(state, log_weight, u_k, k / RATE_HZ)
             residuals.append(now.residual[0])
         return state, log_weight, now, np.array(residuals)

@@ -223,8 +223,8 @@ def by_minute(run: Run, found: Trajectory) -> pd.DataFrame:
     seconds = {"iron_s": near, "flag_iron_s": alarm & near, "flag_else_s": alarm & ~later}
     table = pd.DataFrame({"square": error**2, "nees": nees, **seconds}).groupby(run.times // 60)
     means = pd.DataFrame({"tip_rmse_percent": np.sqrt(table["square"].mean()), "nees": table["nees"].mean()})
-    found = means.join(table[list(seconds)].sum() * (run.times[1] - run.times[0])).rename_axis("minute")
-    return found.reset_index().assign(minute=lambda x: x["minute"].astype(int) + 1)
+    whole = means.join(table[list(seconds)].sum() * (run.times[1] - run.times[0])).rename_axis("minute")
+    return whole.reset_index().assign(minute=lambda x: x["minute"].astype(int) + 1)
 
 
 def minutes_of(seed: int, minutes: float = MINUTES) -> pd.DataFrame:
