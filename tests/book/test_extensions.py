@@ -47,7 +47,7 @@ def test_a_name_that_is_not_described_becomes_text(tmp_path):
         f"extensions = ['sphinx.ext.autodoc', 'repro_links']\nnitpicky = {settings['nitpicky']}\n"
         f"nitpick_ignore_regex = {settings['nitpick_ignore_regex']}\n"
     )
-    names = ("repro.robot.place", "repro.no_such_name", "numpy.array")
+    names = ("repro.chain.place", "repro.no_such_name", "numpy.array")
     (tmp_path / "index.rst").write_text("T\n=\n\n" + "\n".join(f":py:func:`{name}`" for name in names))
     warnings = io.StringIO()
     app = SphinxTestApp("html", srcdir=tmp_path, confoverrides={"html_theme": "basic"}, warning=warnings)

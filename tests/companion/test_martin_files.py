@@ -13,7 +13,8 @@ from repro_companion.run import recordings_folder
 
 from . import trial_files
 
-RECORDED = (recordings_folder() / "martin2022" / martin_files.TABLES / martin_files.RIGID_FILE).is_file()
+RECORDINGS = recordings_folder()
+RECORDED = (RECORDINGS / "martin2022" / martin_files.TABLES / martin_files.RIGID_FILE).is_file()
 OFFSET_MM = np.array([6.0, -12.0, -38.0])
 PCC_16 = martin.Case("Fig. 4", "pcc", 8, 16)
 PCC_8 = martin.Case("Fig. 4", "pcc", 8, 8)
@@ -383,7 +384,8 @@ def test_a_last_line_that_was_not_written_to_its_end_is_left_out(folder, tmp_pat
 
 
 @pytest.mark.skipif(not RECORDED, reason="the authors' files are not here")
-def test_released_tables_to_a_micrometre():
+def test_released_tables_to_a_micrometre(monkeypatch):
+    monkeypatch.setenv("REPRO_DATA_DIR", str(RECORDINGS))
     tables = martin_files.recorded_tables()
     q = martin_files.trial_orientations(tables)
     assert len(q) == 8515
