@@ -347,6 +347,7 @@ def scorecard_rows(table: pd.DataFrame, both: pd.DataFrame) -> pd.DataFrame:
     columns = {name: [ours[f"ours_{short}_{m}_mm"] for m in ("m1", "m2")] for short, name in SHORT.items()}
     best = pd.DataFrame(columns, index=1e3 * np.array(MARKERS))
     found = martin.scorecard_rows(table, best, SETTING, f"{martin.BEST_METHOD}; {AUTHORS}")
+    found = found.assign(comparable=found["comparable"].eq(True))  # the time is another computer's
     path = project_folder() / "results" / "imu_markers.rows.csv"
     committed = pd.read_csv(path) if path.is_file() else found[:0]
     own = pd.MultiIndex.from_frame(found[KEY])

@@ -110,9 +110,7 @@ def clock_s(times: pd.Series, owner: str) -> np.ndarray:
         read = pd.to_datetime(times, format=CLOCK)
     except (ValueError, TypeError):
         raise bad_input("time", owner, "yyyy/mm/dd/HH:MM:SS.ffffff", repr(times.iloc[0])) from None
-    since = (read - read.iloc[0]).dt.total_seconds().to_numpy()
-    require((np.diff(since) >= 0).all(), "time", owner, "increasing", "a step back")
-    return since
+    return (read - read.iloc[0]).dt.total_seconds().to_numpy()
 
 
 def read_csv(path: Path) -> pd.DataFrame:
@@ -152,7 +150,9 @@ def read_table(path: Path) -> np.ndarray:
 
 def read_clock(path: Path) -> np.ndarray:
     """Return the times of the rows of a table, from 0 [s]."""
-    return clock_s(read_columns(path, [".ID_0"])["time"], path.name)
+    since = clock_s(read_columns(path, [".ID_0"])["time"], path.name)
+    require((np.diff(since) >= 0).all(), "time", path.name, "increasing", "a step back")
+    return since
 
 
 def recorded_tables() -> dict[str, np.ndarray]:
@@ -168,7 +168,10 @@ def read_quaternions(path: Path) -> tuple[np.ndarray, np.ndarray]:
     released bags, written as the tables of the models are. There the y axis of an IMU points along the arm.
     """
     messages = read_columns(path, [".ID", ".w", ".x", ".y", ".z"])
-    since, number = clock_s(messages["time"], path.name), messages[".ID"].to_numpy()
+    since = clock_s(messages["time"], path.name)
+    order = np.argsort(since, kind="stable")  # messages may be written in another order than they were sent
+    messages, since = messages.iloc[order], since[order]
+    number = messages[".ID"].to_numpy()
     q = messages[[".x", ".y", ".z", ".w"]].to_numpy()
     size = np.linalg.norm(q, axis=1)
     own = [(number == k) & (np.abs(size - 1) < 0.05) for k in range(8)]  # an IMU that starts sends zeros
