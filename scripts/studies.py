@@ -19,11 +19,11 @@ from magpylib.func import dipole_field
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from training import train_paper
 
 import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
 from repro.networks import load_network, network_of
-from repro.training import train_paper
 from repro_board.emulate import course, faulty
 from repro_companion.papers import baaij, martin, mitchell, released_networks, rig, sensor_count, wandering
 from repro_companion.papers.bend_filter import BendFilter

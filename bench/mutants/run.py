@@ -37,7 +37,7 @@ def outcome(root: Path, work: Path, tests: list[str], change: dict[str, Any] | N
     sources = work / "src"
     places = {"PYTHONPATH": str(sources), "NUMBA_CACHE_DIR": str(work / "kernels")}
     # pytest puts the project's own sources first, unless it is told to take the copy.
-    copied = f"pythonpath={root} {sources}"
+    copied = f"pythonpath={root} {root / 'scripts'} {sources}"
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-o", copied, *tests]
     try:
         done = subprocess.run(

@@ -32,8 +32,8 @@ An estimator takes readings one time step after the other and returns q, how sur
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are
 taken, arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that
 says what was expected and what came instead. Beside these names there are a rod seen by poses, orientations and
-gyroscopes at any time (``repro.estimators.rod``), trained networks without torch (``repro.networks``), and their
-training, which needs torch (``repro.training``).
+gyroscopes at any time (``repro.estimators.rod``), trained networks without torch, and torch modules
+(``repro.networks``).
 """
 
 from __future__ import annotations

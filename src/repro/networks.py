@@ -1,13 +1,13 @@
 """Trained networks without torch: their weights, the readings that they predict, and the slopes of these.
 
 A network maps the relations of one sensor, eq. (1) of Baaij et al. 2023, to its reading. Training is in
-``repro.training``.
+``scripts/training.py`` of the project.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ class Network:
 
 
 def load_network(path: str | Path) -> Network:
-    """Read a network from a safetensors file that ``repro.training`` has written; no code in it is run.
+    """Read a network from a safetensors file that ``scripts/training.py`` has written; no code in it is run.
 
     Parameters
     ----------
@@ -262,3 +262,38 @@ def _predict_rows(widths, activation, weights, xi, u, slopes):
     room = nodes(widths, weights)
     for n in range(len(xi)):
         u[n] = predict(widths, activation, weights, xi[n], True, slopes[n], room)
+
+
+class TorchModel:
+    """A torch module of coordinates as a sensor model, with slopes by automatic differentiation.
+
+    The module takes coordinates ``[rows, n]`` in float64 and returns readings ``[rows, s]``, each row by itself.
+
+    Examples
+    --------
+    >>> import torch
+    >>> model = TorchModel(lambda q: torch.stack([q[:, 0] ** 2, q[:, 0] * q[:, 1]], dim=-1))
+    >>> u, slopes = model.linearise([3.0, 2.0])
+    >>> u, slopes.tolist()
+    (array([9., 6.]), [[6.0, 0.0], [2.0, 3.0]])
+    """
+
+    def __init__(self, module: Callable[[Any], Any]) -> None:
+        self.module = module
+
+    def __call__(self, q: Any) -> Array:
+        """Return readings ``[..., s]`` at coordinates ``[..., n]``."""
+        return self.linearise(q)[0]
+
+    def linearise(self, q: Any) -> tuple[Array, Array]:
+        """Return readings ``[..., s]``, and their slopes by the coordinates ``[..., s, n]``."""
+        import torch
+
+        rows = numbers(q, "q", "TorchModel", (..., None))
+        x = torch.tensor(rows.reshape(-1, rows.shape[-1]), requires_grad=True)
+        u = self.module(x)
+        of_rows = u.ndim == 2 and len(u) == len(x)
+        require(of_rows, "module", "TorchModel", f"one that returns readings [{len(x)}, s]", tuple(u.shape))
+        slopes = [torch.autograd.grad(of_one.sum(), x, retain_graph=True)[0] for of_one in u.unbind(dim=1)]
+        J = torch.stack(slopes, dim=1).numpy()
+        return u.detach().numpy().reshape(*rows.shape[:-1], -1), J.reshape(*rows.shape[:-1], *J.shape[1:])

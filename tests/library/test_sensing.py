@@ -9,6 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
+from training import FastNetwork, paper_network
 
 from repro import (
     ConstantCurvature,
@@ -22,7 +23,6 @@ from repro import (
 )
 from repro.networks import Network, load_network, network_of
 from repro.sensing import relations
-from repro.training import FastNetwork, paper_network
 
 from .robots import CHAINS, RELEASED, STORED, chain, complex_pose, configuration, paper_robot
 

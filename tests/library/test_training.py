@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import re
@@ -10,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import training
 from safetensors.torch import load_file
 from torch import nn
+from training import save_network
 
-from repro import InputError, training
-from repro.networks import load_network
-from repro.training import TorchModel, paper_network, save_network
+from repro import InputError, LevenbergMarquardt
+from repro.networks import TorchModel, load_network
 from repro_companion.papers import baaij, rig
 from scripts import train as script
 
@@ -120,6 +122,14 @@ def test_rows_and_checkpoints_that_do_not_fit_are_refused(tmp_path, call, messag
         call(tmp_path / "state")
 
 
+def by_autograd(module: nn.Module, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings of rows of relations and their slopes, by torch in float64."""
+    x = torch.tensor(xi, requires_grad=True)
+    u = copy.deepcopy(module).double()(x)
+    (slopes,) = torch.autograd.grad(u.sum(), x)
+    return u.detach().numpy(), slopes.numpy()
+
+
 @pytest.mark.parametrize("name", ["pcc_nb1_segment1_seed1", "pcc_nb3_segment2_seed0", "affine_sensor4_seed2"])
 def test_committed_networks_read_the_same_without_torch(name):
     path = DATA / f"{name}.safetensors"
@@ -127,11 +137,9 @@ def test_committed_networks_read_the_same_without_torch(name):
     mean, spread = (x.numpy() for x in (expected[0].running_mean, expected[0].running_var.sqrt()))
     xi = mean + spread * RNG.standard_normal((200, network.n_inputs))
     # Near a corner of the network float32 and float64 may take different sides, and slopes differ there.
-    found = zip(
-        network.linearise(xi), TorchModel(expected, "angles").linearise(xi[None]), (5e-6, 2e-2), strict=True
-    )
+    found = zip(network.linearise(xi), by_autograd(expected, xi), (5e-6, 2e-2), strict=True)
     for ours, exact, tolerance in found:
-        np.testing.assert_allclose(ours, exact[0], rtol=0, atol=tolerance * np.abs(exact).max())
+        np.testing.assert_allclose(ours, exact, rtol=0, atol=tolerance * np.abs(exact).max())
     assert manifest(path)["metrics_mt"]["rmse_validation"] < 0.05
 
 
@@ -149,83 +157,32 @@ def test_weights_that_are_written_are_read_and_the_manifest_names_their_hash(tra
     assert len(list(tmp_path.iterdir())) == 2
 
 
-class Function(nn.Module):
-    """A function as a module, with a weight to be moved to another dtype."""
+class Module(nn.Module):
+    """Two readings of three coordinates."""
 
-    def __init__(self, function):
-        super().__init__()
-        self.function, self.weight = function, nn.Parameter(torch.tensor([1.0, -2.0, 3.0]))
-
-    def forward(self, xi):
-        return self.function(xi, self.weight)
+    def forward(self, q):
+        return torch.stack([torch.sin(q).prod(-1), q[:, 0] * torch.exp(q[:, 1])], dim=-1)
 
 
-TRAINED = paper_networks([DATA / "pcc_nb1_segment1_seed0.safetensors"], double=False)[0][0].train()
-ROBOTS = Function(lambda xi, gains: gains * torch.sin(xi).prod(-1) / xi[:, :, 1])
-SINGLE = Function(lambda xi, _: torch.sin(xi).prod(-1, keepdim=True) @ torch.ones(1, 1))
-MODELS = {"paper": TRAINED, "smooth": training.FastNetwork(5), "robots": ROBOTS, "float32": SINGLE}
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_slopes_of_a_torch_model_are_those_of_differences(name):
-    module = MODELS[name]
-    model, xi = TorchModel(module, "angles"), XI[:24].reshape(4, 2, 3, 5)
-    u, slopes = model.linearise(xi)
-    assert u.dtype == slopes.dtype == np.float64
-    h, tolerance = (3e-3, 1e-3) if name == "float32" else (1e-6, 1e-6)
-    for k in range(5):
-        step = h * np.eye(5)[k] * xi[..., 1:2]
-        difference = (model(xi + step) - model(xi - step)) / (2 * step[..., k])
-        np.testing.assert_allclose(slopes[..., k], difference, rtol=0, atol=tolerance * np.abs(slopes).max())
-    np.testing.assert_allclose(model(xi[1, 1]), u[1, 1], rtol=1e-6)  # a robot does not depend on its batch
-    assert model(xi[:0]).shape == (0, 2, 3)
-    assert module.training  # it is a copy that was set to evaluation mode
-
-
-@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
-@pytest.mark.parametrize(("name", "shape"), [("smooth", (6, 5)), ("robots", (2, 3, 5))])
-def test_torchscript_reads_as_the_module_it_was_made_from(name, shape, tmp_path):
-    torch.jit.trace(MODELS[name], torch.rand(shape)).save(tmp_path / "model.pt")
-    xi = XI[:12].reshape(4, 3, 5)
-    expected = TorchModel(MODELS[name], "angles").linearise(xi)
-    for found, wanted in zip(
-        TorchModel(tmp_path / "model.pt", "angles").linearise(xi), expected, strict=True
+def test_slopes_of_a_torch_model_are_those_of_differences():
+    model, q = TorchModel(Module()), np.random.default_rng(0).uniform(0.2, 1.0, (2, 4, 3))
+    u, slopes = model.linearise(q)
+    assert (u.shape, slopes.shape) == ((2, 4, 2), (2, 4, 2, 3))
+    steps = 1e-6 * np.eye(3)
+    differences = [(model(q + step) - model(q - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(slopes, np.stack(differences, axis=-1), rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(model(q[1, 1]), u[1, 1], rtol=1e-14)
+    with pytest.raises(
+        InputError, match=r"must be one that returns readings \[1, s\]; instead received \(1,\)"
     ):
-        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+        TorchModel(lambda x: x.sum(dim=-1))([1.0, 2.0])
 
 
-@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (
-            nn.Linear(5, 2),
-            "rows of 5 relations, or 3 sensors x 5, to a reading each; instead received for (6, 5)",
-        ),
-        (paper_network(9), "for (6, 5) of torch.float64: running_mean should contain 5 elements not 9."),
-        (
-            Function(lambda xi, w: w.new_ones(len(xi))),
-            "have finite slopes, not all zero; instead received slopes [[0",
-        ),
-        (
-            Function(lambda xi, w: (0 * xi[:, 0]).sqrt()),
-            "have finite slopes, not all zero; instead received slopes [[n",
-        ),
-        (
-            Function(lambda xi, w: (xi + xi.mean(0))[:, 1]),
-            "depends on the relations of that sensor alone; instead",
-        ),
-        (
-            "none.pt",
-            "must be a torch.nn.Module or the path of a TorchScript file; instead received none.pt: The",
-        ),
-        (__file__, "test_training.py: PytorchStreamReader"),
-        (np.sin, "must be a torch.nn.Module or the path of a TorchScript file; instead received ufunc."),
-    ],
-)
-def test_models_that_cannot_be_used_are_refused(model, message):
-    with pytest.raises(InputError, match=re.escape(message)):
-        TorchModel(model, "angles")(XI[:3])
+def test_an_estimator_takes_a_torch_model():
+    model, q = TorchModel(Module()), np.array([0.7, 0.4, 0.5])
+    fit = LevenbergMarquardt(model, [0.6, 0.1, 0.5], [0.9, 0.9, 0.5], noise=1e-3)
+    _, found = fit.step(fit.init([0.65, 0.3, 0.5]), model(q))
+    np.testing.assert_allclose(found.q, q, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -800,6 +800,18 @@ def affine_agreement(beside_print: pd.DataFrame) -> str:
 DATA_SEED, SAMPLES = 1, 120_000
 
 
+def uniform_draws(seed: int) -> Callable[..., np.ndarray]:
+    """Return a function ``(low, high, *shape)`` that draws evenly from torch's generator, as the authors' program."""
+    import torch
+
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> np.ndarray:
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
+
+    return uniform
+
+
 @dataclass(frozen=True)
 class SegmentNetwork:
     """A network of section 3.2: it predicts the sensors of one segment, counted from 0."""
@@ -818,8 +830,6 @@ class SegmentNetwork:
 
     def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
         """Return relations as angles and readings: three rows for each random shape and placement of the sensors."""
-        from repro.training import uniform_draws
-
         uniform, n, axis = uniform_draws(DATA_SEED), self.n_segments, None
         bend = bounds(1)[1][0]
         bends, longer = uniform(-bend, bend, samples, n, 2), uniform(0.0, bounds(1)[1][2], samples, n, 1)
@@ -852,8 +862,6 @@ class AffineNetwork:
 
     def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
         """Return relations as angles and readings; only the readings know of the shift of the magnets."""
-        from repro.training import uniform_draws
-
         uniform = uniform_draws(DATA_SEED)
         high = (*CURVATURE, 2 * math.pi, bounds(1)[1][2])
         q = np.stack(

@@ -12,6 +12,8 @@ import csv
 import hashlib
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -676,32 +678,33 @@ def _released(paths: Sequence[Path]) -> bool:
 
 
 def networks(data: Data, seed: int) -> list[Any]:
-    """Return networks of the paper's recipe for T5.train, one for every sensor.
+    """Return the networks of the three sensors, trained on T5.train.
 
-    Those for the simulated rig are in data/networks. For other recordings we train them, a minute each, and keep them
-    in the user's cache.
+    Those for the simulated rig are in data/networks. For other recordings ``scripts/train.py`` trains them, a minute
+    each, and goes on where it stopped.
     """
+    files = network_files(data, seed)
+    if not all(path.is_file() for path in files):
+        _train()
+    return [load_network(path) for path in files]
+
+
+def network_files(data: Data, seed: int) -> list[Path]:
+    """Return where the networks of the three sensors are: those of other recordings lie beside the recordings."""
     folder = project_folder() / "data" / "networks"
     if data.source != "simulated":
         content = hashlib.sha256(data.train.q.tobytes() + data.train.u.tobytes()).hexdigest()[:12]
         folder = recordings_folder() / "networks" / f"T5_{content}"
-    paths = [folder / f"rig_sensor{j + 1}_seed{seed}.safetensors" for j in range(SENSORS)]
-    for j, path in enumerate(paths):
-        if not path.is_file():
-            _train(data.train, j, seed, path)
-    return [load_network(path) for path in paths]
+    return [folder / f"rig_sensor{j + 1}_seed{seed}.safetensors" for j in range(SENSORS)]
 
 
-def _train(train: Recording, sensor: int, seed: int, path: Path) -> None:
+def _train() -> None:
+    """Train the networks for the recordings in a process of its own, whose progress is seen."""
     owner = "networks for these recordings"
     require(find_spec("torch"), "torch", owner, "installed (make env)", "no package of this name")
-    from repro.training import save_network, train_paper
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint = path.with_suffix(".state")
-    xi, u = training_rows(train, sensor)
-    network, errors, _ = train_paper(xi, u, seed, LEARNING_RATE, checkpoint, progress=path.stem)
-    save_network(network, path, {"recipe": "paper", "sensor": sensor, "seed": seed, "rmse_mv": errors})
+    script = project_folder() / "scripts" / "train.py"
+    done = subprocess.run([sys.executable, script, "--recordings"], check=False)
+    require(not done.returncode, "training", owner, "complete", f"exit {done.returncode} of {script.name}")
 
 
 def training_rows(train: Recording, sensor: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Training of networks, and torch modules as sensor models: all of the library that needs torch.
+"""Training of networks in torch: the paper's recipe, and a fast one of ours.
 
 A network maps the relations of one sensor, eq. (1) of Baaij et al. 2023, to its reading. Weights are written as
 safetensors, which :func:`.load_network` reads without torch. Training draws from torch's own generator, as the
@@ -7,13 +7,11 @@ authors' program does, and leaves the generator as it was.
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +21,9 @@ from rich.progress import Progress
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from repro.common import Array, bad_input, numbers, require, whole
+from repro.common import Array, numbers, require, whole
 
 PAPER_BATCH, FAST_BATCH = 650, 1000
-DTYPES = (torch.float64, torch.float32)
-
-
-def uniform_draws(seed: int) -> Callable[..., Array]:
-    """Return a function ``(low, high, *shape)`` that draws evenly from torch's generator, as the authors' program."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Array:
-        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
-
-    return uniform
 
 
 def paper_network(n_inputs: int) -> nn.Sequential:
@@ -338,110 +325,3 @@ def save_network(network: nn.Module, path: str | Path, manifest: Mapping[str, An
     for file, content in ((path.with_suffix(".json"), f"{{\n{entries}\n}}\n".encode()), (path, weights)):
         with whole(file, "save_network", new=False) as partial:
             partial.write_bytes(content)
-
-
-class TorchModel:
-    """A network of one's own in torch as a sensor model of relations, with slopes by automatic differentiation.
-
-    The module is copied, set to evaluation mode and run on the processor. For ``s`` sensors and ``m`` magnets it
-    takes rows of relations ``[rows, 1 + 4 m]`` and returns one reading for each, ``[rows]`` or ``[rows, 1]``; or it
-    takes whole robots ``[batch, s, 1 + 4 m]`` and returns one reading for each sensor. Which of the two is found when
-    it is first called, by trying a batch of two robots: in float64 if it can, because estimators then converge in
-    fewer steps, otherwise in float32.
-
-    Parameters
-    ----------
-    model
-        A ``torch.nn.Module``, or the path of a TorchScript file. TorchScript is code: load only files that you trust.
-    inputs
-        ``"angles"`` or ``"cosines"``: which relations it takes.
-
-    Raises
-    ------
-    InputError
-        If it is no module and no such file. When it is first called: if it does not return one reading for each
-        sensor, if a reading depends on the relations of another sensor, or if the slopes are not finite or all zero.
-
-    Examples
-    --------
-    >>> layer = nn.Linear(5, 1)
-    >>> _ = nn.init.constant_(layer.weight, 2.0), nn.init.constant_(layer.bias, 1.0)
-    >>> u, slopes = TorchModel(layer, "angles").linearise(np.ones((3, 5)))
-    >>> u
-    array([11., 11., 11.])
-    >>> slopes[0]
-    array([2., 2., 2., 2., 2.])
-    """
-
-    @torch.no_grad()  # a copy of TorchScript would otherwise remember what it was copied from
-    def __init__(self, model: nn.Module | str | Path, inputs: str) -> None:
-        require(
-            inputs in ("angles", "cosines"), "inputs", "TorchModel", '"angles" or "cosines"', repr(inputs)
-        )
-        words = "a torch.nn.Module or the path of a TorchScript file"
-        if isinstance(model, str | Path):
-            try:
-                model = torch.jit.load(model, map_location="cpu")
-            except (RuntimeError, ValueError) as error:
-                raise bad_input("model", "TorchModel", words, f"{model}: {_last_line(error)}") from error
-        if not isinstance(model, nn.Module):
-            raise bad_input("model", "TorchModel", words, type(model).__name__)
-        self.inputs = inputs
-        self._modules = {dtype: copy.deepcopy(model).to("cpu", dtype).eval() for dtype in DTYPES}
-        self._dtype, self._takes_rows = torch.float64, True
-        self._shape: tuple[int, ...] = ()
-
-    def __call__(self, xi: Any) -> Array:
-        """Return the readings ``[..., s]`` predicted for relations ``[..., s, 1 + 4 m]``."""
-        return self.linearise(xi)[0]
-
-    def linearise(self, xi: Any) -> tuple[Array, Array]:
-        """Return readings ``[..., s]`` and their slopes by the relations ``[..., s, 1 + 4 m]``."""
-        rows = numbers(xi, "xi", "TorchModel", (..., None, None))
-        robots = rows.reshape(-1, *rows.shape[-2:])
-        if len(robots) and robots.shape[1:] != self._shape:
-            self._try(robots[:1].repeat(2, axis=0))
-            self._shape = robots.shape[1:]
-        x = torch.tensor(robots, dtype=self._dtype, requires_grad=True)
-        u = self._readings(x)
-        (slopes,) = torch.autograd.grad(u.sum(), x)  # a reading depends on its own row only
-        u, slopes = u.detach().double().numpy(), slopes.double().numpy()
-        return u.reshape(rows.shape[:-1]), slopes.reshape(rows.shape)
-
-    def _readings(self, robots: Tensor) -> Tensor:
-        u = self._modules[self._dtype](robots.flatten(0, 1) if self._takes_rows else robots)
-        # The zero gives a constant reading slopes of zero; torch has none for it.
-        return u.reshape(robots.shape[:-1]) + 0 * robots.sum(-1)
-
-    def _try(self, robots: Array) -> None:
-        """Find out what the module takes with two robots ``[2, s, 1 + 4 m]``, or refuse it."""
-        problems = []
-        for self._takes_rows, self._dtype in product((True, False), DTYPES):
-            x = torch.tensor(robots, dtype=self._dtype, requires_grad=True)
-            batch = x.flatten(0, 1) if self._takes_rows else x
-            try:
-                u = self._modules[self._dtype](batch)
-            except Exception as error:  # whatever a module of others raises is said in one line
-                u = _last_line(error)
-            if isinstance(u, Tensor) and u.shape in (batch.shape[:-1], (*batch.shape[:-1], 1)):
-                break
-            got = f"shape {tuple(u.shape)}" if isinstance(u, Tensor) else u
-            problems.append(f"for {tuple(batch.shape)} of {self._dtype}: {got}")
-        else:
-            words = "one that maps rows of {1} relations, or {0} sensors x {1}, to a reading each"
-            raise bad_input("model", "TorchModel", words.format(*robots.shape[1:]), problems[0])
-        u = self._readings(x)
-        of_first, of_all = (torch.autograd.grad(v, x, retain_graph=True)[0] for v in (u[0, 0], u.sum()))
-        words, received = (
-            "one whose readings have finite slopes, not all zero",
-            f"slopes {of_all[0].tolist()}",
-        )
-        require(of_all.any() and of_all.isfinite().all(), "model", "TorchModel", words, received)
-        words = "one whose reading of a sensor depends on the relations of that sensor alone"
-        others = of_first.flatten(0, 1)[1:]
-        require(not others.any(), "model", "TorchModel", words, "one that depends on those of others")
-
-
-def _last_line(error: Exception) -> str:
-    """Return the last line of a message: there TorchScript says what is wrong."""
-    return str(error).strip().rpartition("\n")[2]
