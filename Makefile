@@ -59,6 +59,7 @@ page: .env-book
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
 # and one process more than there are cores uses what their waiting leaves.
 test: env
+	$(PY) -m repro_companion.kernels
 	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
 	  tests/board tests src
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from repro_companion import run as tool
+from repro_companion.kernels import compile_kernels
 from repro_companion.run import InputError, Parameter, Point, RunFailed
 from repro_companion.show import rendered
 
@@ -106,17 +107,6 @@ def page_point(root: Path, notebook: Path, inputs: str) -> Point:
         results=results_folder(root),
         root=root,
     )
-
-
-def compile_kernels() -> None:
-    """Compile what all pages use, once: pages that start together would each do it, and show that they do."""
-    import repro
-    from repro_companion.papers import baaij
-
-    sensing = repro.Sensing(baaij.robot(1))
-    readings, bounds = sensing([0.0, 0.0, 0.003])[None], baaij.bounds(1)
-    for method in (baaij.descent(sensing, 1), repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3)):
-        repro.track(method, readings, [0.0, 0.0, 0.003])
 
 
 def run_pages(points: Sequence[Point], jobs: int) -> list[str]:

@@ -1,0 +1,69 @@
+"""Compile the kernels that pages and tests use, in two processes beside each other, before these start.
+
+``python -m repro_companion.kernels`` compiles what this machine does not have yet. Pages or tests that start together
+would else each compile the same.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+
+def of_robots() -> None:
+    """Compile sensor models of robots, descent, least squares and the Kalman filter, with a network and without."""
+    import repro
+    from repro_companion.papers import baaij
+
+    start = [0.0, 0.0, 0.003]
+    sensing, bounds = repro.Sensing(baaij.robot(1)), baaij.bounds(1)
+    readings = np.tile(sensing(start), (3, 1))
+    for method in (
+        baaij.descent(sensing, 1),
+        repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3),
+        repro.KalmanFilter(sensing, *bounds, 1e-3, np.full(3, 1e-3)),
+    ):
+        repro.track(method, readings, start, rate_hz=40.0)
+
+
+def of_filters() -> None:
+    """Compile the rod, and the particle filter of a bend sensor."""
+    import repro
+    from repro.estimators.rod import Rod, RodFilter, RodSensor
+    from repro_companion.papers import mitchell
+
+    sensor = repro.BendSensor(mitchell.LENGTH, mitchell.CUBE)
+    readings = sensor(np.zeros((3, 2)))
+    repro.track(mitchell.particle_filter(0.02, particles=10), readings, np.zeros(2), rate_hz=100.0)
+    sensors = [RodSensor(kind, 1e-2, arc_m=0.5) for kind in ("pose", "orientation")]
+    rod = RodFilter(Rod(1.0, bending=1, torsion=0), sensors, strain_std=10.0, rate=1.0, base_std=[0.01, 0.1])
+    state = rod.init()
+    for t in (0.0, 0.1):
+        state, _ = rod.step(state, np.zeros(9), t)
+
+
+PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "filters": of_filters}
+
+
+def compile_kernels() -> None:
+    """Compile all parts, each in a process of its own."""
+    command = [sys.executable, "-m", "repro_companion.kernels"]
+    running = [subprocess.Popen([*command, name], stderr=subprocess.DEVNULL) for name in PARTS]
+    if sum(process.wait() for process in running):
+        print("Kernels could not be compiled ahead, so each process compiles its own.", file=sys.stderr)
+
+
+def main(names: Sequence[str]) -> int:
+    """Compile the parts named, or all."""
+    for name in names:
+        PARTS[name]()
+    if not names:
+        compile_kernels()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
