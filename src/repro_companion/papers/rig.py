@@ -811,12 +811,13 @@ RECORDINGS = {
 
 We assumed everything else, including the biases, and froze it before any estimator ran.
 
-The authors also released the networks that they trained on each recording. They carry no licence, so this project
-does not contain them, but `repro fetch baaij2023_networks` brings 36 (six recordings, three sensors, two seeds). In a
-stored study we took them as robots: our rig moved, and the networks of each recording (mean of two seeds, plus noise) gave the readings. The networks of T5
-are the model. The third line of Table 2 shows the errors of the paper's method there. On T5 this is nearly circular,
-because the robot is the mean of the two models. T4 is missing, because the readings of its networks differ by 4.7 mV
-between seeds, more than the printed error of 3.0 mV. Without T4 the paper's means are 3.6 and 4.9 %.""",
+The authors also released the networks that they trained on each recording. They carry no licence, so this
+project does not contain them, but `repro fetch baaij2023_networks` brings 36 (six recordings, three sensors,
+two seeds). In a stored study we took them as robots: our rig moved, and the networks of each recording (mean of
+two seeds, plus noise) gave the readings. The networks of T5 are the model. The third line of Table 2 shows the
+errors of the paper's method there. On T5 this is nearly circular, because the robot is the mean of the two
+models. T4 is missing, because the readings of its networks differ by 4.7 mV between seeds, more than the
+printed error of 3.0 mV. Without T4 the paper's means are 3.6 and 4.9 %.""",
     "recorded": """We read poses and readings of six recordings and follow the authors' pipeline: bends in closed
 form from the pose of the ring, and both starts of inflation put together. We check the alignment against all other
 lags.""",
