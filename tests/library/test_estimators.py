@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -230,3 +231,34 @@ def test_threads_find_what_one_finds(case):
     with ThreadPoolExecutor(4) as pool:
         several = list(pool.map(tracked, range(8)))
     assert all(np.array_equal(one, tracked(0)) for one in several)
+
+
+@pytest.mark.parametrize("method", [LevenbergMarquardt, KalmanFilter])
+def test_a_row_of_three_coordinates_takes_few_bytes(method):
+    """At its peak, with the monitor, its three readings and what is returned."""
+    estimator = method(np.array, [-1.0] * 3, [1.0] * 3, 0.01)
+    u = 0.5 + 0.01 * np.random.default_rng(0).normal(size=(1280, 3))
+    peaks = []
+    for n in (512, 1280):
+        tracemalloc.start()
+        found = track(estimator, u[:n], rate_hz=100.0)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert len(found.q) == 1280
+    assert peaks[1] - peaks[0] <= 400 * 768
+
+
+def test_rows_are_the_same_whether_written_at_once_or_some_at_a_time(monkeypatch):
+    estimator = LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [1.0], 0.01)
+    u = 0.5 + 0.01 * np.random.default_rng(0).normal(size=(40, 4))
+    u[20:, 3] = 0.0  # the monitor says more of these
+    whole = vars(track(estimator, u, [0.5], rate_hz=100.0))
+    monkeypatch.setattr("repro.estimators.track._AT_ONCE", 7)
+    parts = vars(track(estimator, u, [0.5], rate_hz=100.0))
+    assert whole["details"].keys() == parts["details"].keys()
+    assert len(set(parts["status"].tolist())) > 1
+    for name, expected in (whole | whole["details"]).items():
+        found = (parts | parts["details"])[name]
+        if isinstance(expected, np.ndarray):
+            assert found.dtype == expected.dtype, name
+            np.testing.assert_array_equal(found, expected, name)

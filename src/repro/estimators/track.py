@@ -19,6 +19,8 @@ from repro.tables import read_readings
 
 _FITTING = tuple(STATUS[number] for number in TRUSTED)
 """What the monitor says of rows whose readings fit, by name."""
+_AT_ONCE = 256
+"""So many estimates are held before their arrays are written: as objects they take ten times as much memory."""
 
 
 @dataclass(frozen=True)
@@ -297,9 +299,10 @@ def run(
     known: Any,
     progress: str | None,
     monitor: str | None,
-    owner: str = "track",
+    smoothing: bool = False,
 ) -> tuple[Trajectory, list[Any]]:
-    """Return the estimates and the states: the loop of ``track`` and of ``smooth``."""
+    """Return the estimates, and the states for ``smooth`` alone: the loop of ``track`` and of ``smooth``."""
+    owner = "smooth" if smoothing else "track"
     require(isinstance(estimator, Estimator), "estimator", owner, "an estimator", type(estimator).__name__)
     require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
     robot = robot_of(estimator)
@@ -318,7 +321,7 @@ def run(
         watch = Monitor(estimator)
     method: Estimator = estimator if watch is None else watch
     state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
-    states, estimates, hidden = [], [], []
+    states, estimates, hidden, found = [], [], [], _Rows(len(rows))
     for k in _with_bar(len(rows), progress):
         row = rows[k]
         if near is not None:
@@ -328,13 +331,42 @@ def run(
         state, estimate = method.step(state, row, float(at[k]), **own)
         if near is not None:
             near.q = estimate.q
-        states.append(state if watch is None else state.inner)
+        if smoothing:
+            states.append(state if watch is None else state.inner)
         estimates.append(estimate)
+        if len(estimates) == _AT_ONCE or k == len(rows) - 1:
+            some = slice(found.written, k + 1)
+            mask = None if given["mask"] is None else given["mask"][some]
+            part = trajectory(at[some], rows[some], estimates, robot, watch, mask)
+            if near is not None:
+                part.details["too_near"] = np.array(hidden)
+            found.write(part)
+            estimates, hidden = [], []
+    return Trajectory(times=np.array(at), readings=rows, robot=robot, **found.fields), states
 
-    found = trajectory(at, rows, estimates, robot, watch, given["mask"])
-    if near is not None:
-        found.details["too_near"] = np.array(hidden)
-    return found, states
+
+class _Rows:
+    """The arrays of all rows of a trajectory, written some rows at a time."""
+
+    def __init__(self, n: int) -> None:
+        self.n, self.written = n, 0
+        self.fields: dict[str, Any] = {}
+
+    def write(self, part: Trajectory) -> None:
+        """Take over the next rows."""
+        own = {name: x for name, x in vars(part).items() if name not in ("times", "readings", "robot")}
+        details = own.pop("details")
+        self._into(self.fields, own)
+        self._into(self.fields.setdefault("details", {}), details)
+        self.written += len(part.times)
+
+    def _into(self, arrays: dict[str, Any], part: dict[str, Any]) -> None:
+        for name, values in part.items():
+            if self.written == 0:
+                arrays[name] = None if values is None else np.empty((self.n, *values.shape[1:]), values.dtype)
+            if arrays.get(name) is not None:
+                arrays[name] = arrays[name].astype(np.result_type(arrays[name], values), copy=False)
+                arrays[name][self.written : self.written + len(values)] = values
 
 
 def _rows(readings: Any, robot: Assembly | None, owner: str) -> Array:
@@ -410,7 +442,7 @@ def smooth(
     )
     found, states = run(
         method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
-        monitor=monitor, owner="smooth",
+        monitor=monitor, smoothing=True,
     )  # fmt: skip
     details = found.details
     back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
