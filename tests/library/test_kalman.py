@@ -191,6 +191,19 @@ def test_two_steps_of_motion_are_one(a, b):
     np.testing.assert_allclose(F2 @ Q1 @ F2.T + Q2, Q, rtol=1e-9, atol=1e-12)
 
 
+def test_a_remembered_motion_is_that_of_its_own_time():
+    """More times than are remembered, some again: all bits as of a filter that remembers nothing."""
+    times = np.cumsum([0.01, 0.02, *np.linspace(0.001, 0.02, 100), 0.02, 0.01])
+    method = KalmanFilter(lambda q: q, [-1.0], [1.0], noise=0.1)
+    state = other = method.init([0.0])
+    for t in times:
+        state = method.step(state, np.array([0.1]), t)[0]
+        forgetful = KalmanFilter(lambda q: q, [-1.0], [1.0], noise=0.1)
+        other = forgetful.step(other, np.array([0.1]), t)[0]
+        np.testing.assert_array_equal(state.covariance, other.covariance)
+        np.testing.assert_array_equal(state.velocity, other.velocity)
+
+
 def test_states_without_order_are_refused():
     method, u, _ = linear_case()
     state, _ = method.step(method.init([0.0, 0.0]), u[0], 0.0)

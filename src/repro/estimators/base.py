@@ -210,6 +210,11 @@ def information_of_bounds(lower: Array, upper: Array, free: Array) -> Array:
     return np.divide(12.0, width**2, out=np.zeros(len(width)), where=upper > lower)
 
 
+def batch_of(x: Array, y: Array) -> tuple[int, ...]:
+    """Return the batch of two arrays ``[..., n]``; for one robot without NumPy's long way."""
+    return () if x.ndim == y.ndim == 1 else np.broadcast_shapes(x.shape[:-1], y.shape[:-1])
+
+
 def each(x: Array, batch: tuple[int, ...], *own: int) -> Array:
     """Return what each member of a batch has, one after the other ``[members, *own]``; copied only if shared."""
     shape = (*batch, *own)

@@ -23,6 +23,7 @@ from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
+    batch_of,
     described,
     each,
     incoming,
@@ -55,6 +56,10 @@ class KalmanState(NamedTuple):
     t: float | None = None
 
 
+_MOTIONS = 64
+"""So many transitions are remembered: equal steps of a clock differ by rounding."""
+
+
 class MotionModel:
     """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
 
@@ -75,11 +80,25 @@ class MotionModel:
         """
         if state.t is None:
             return state._replace(t=t)
-        require(t >= state.t, "t", type(self).__name__, f"not before the last step, {state.t} s", t)
-        F, Q = self.motion(t - state.t)
-        x, n = np.concatenate([state.q, state.velocity], axis=-1) @ F.T, state.q.shape[-1]
-        P = F @ state.covariance @ F.T + Q
-        return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + np.swapaxes(P, -1, -2)), t)
+        if not t >= state.t:
+            raise bad_input("t", type(self).__name__, f"not before the last step, {state.t} s", t)
+        F, Q = self._remembered(t - state.t)
+        x, n = np.concatenate([state.q, state.velocity], axis=-1), state.q.shape[-1]
+        if x.ndim == 1:  # the same sums, by a shorter way than that of a batch
+            x, P = x.dot(F.T), F.dot(state.covariance).dot(F.T) + Q
+        else:
+            x, P = x @ F.T, F @ state.covariance @ F.T + Q
+        return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + P.swapaxes(-1, -2)), t)
+
+    def _remembered(self, tau: float) -> tuple[Array, Array]:
+        """Return ``motion(tau)``; that of the last times is remembered, as steps are mostly equal."""
+        motions = self.__dict__.setdefault("_motions", {})
+        found = motions.get(tau)
+        if found is None:
+            if len(motions) >= _MOTIONS:
+                motions.clear()
+            found = motions[tau] = self.motion(tau)
+        return found
 
     def near(self, state: KalmanState, reference: Array) -> KalmanState:
         """Return the same state with angles next to those of a reference ``[..., n_q]``."""
@@ -235,7 +254,7 @@ class KalmanFilter(MotionModel):
         Between two readings a variance may grow far beyond that. The state keeps it: the bounds are no new reading.
         """
         known = self._update.by_bounds[: self.n_q]
-        if (np.diagonal(C, axis1=-2, axis2=-1) @ known).max(initial=0.0) <= 1:  # no direction can be beyond
+        if (C.diagonal(0, -2, -1) @ known <= 1).all():  # no direction can be beyond
             return C
         width = 1 / np.sqrt(np.where(known > 0, known, 1.0))
         scaled = C / np.outer(width, width)
@@ -276,28 +295,25 @@ class KalmanFilter(MotionModel):
         InputError
             If ``t`` is not after the last step, or the readings do not fit the model.
         """
-        later = state.t is None or t > state.t
-        require(later, "t", "KalmanFilter", f"after the last step, {state.t} s", t)
+        if not (state.t is None or t > state.t):
+            raise bad_input("t", "KalmanFilter", f"after the last step, {state.t} s", t)
         fit = self._update
         u = incoming(u, mask, "KalmanFilter", fit.model.n_readings)
         known = known_coordinates(known, self.n_q, "KalmanFilter")
         before = self.predicted(state, t)
-        batch = np.broadcast_shapes(before.q.shape[:-1], u.shape[:-1])
+        batch = batch_of(before.q, u)
         n, m = fit.n_q, before.covariance.shape[-1]
         P = each(before.covariance, batch, m, m).copy()
-        fixed = np.diagonal(P, axis1=1, axis2=2)[:, :n] <= 0  # what is certain does not move
+        fixed = P.diagonal(0, 1, 2)[:, :n] <= 0  # what is certain does not move
         information = np.empty((len(P), n, n))
         _prior_information(P, information)
         prior = (before.q, information.reshape(*batch, n, n))
-        values = np.where(fixed.reshape(*batch, n), before.q, np.nan)
-        if known is not None:
-            known = np.where(np.isnan(known), values[..., : self.n_q], known)
-            values[..., : self.n_q] = known
-            values = self.angles.nearest(values, before.q) if self.angles else values
-        given = None if np.isnan(values).all() else values
+        given = None
+        if known is not None or fixed.any():
+            given = self._given(before, fixed.reshape(*batch, n), known)
         q = before.q.clip(fit._low, fit._high)
         q, u_hat, C, status, n_used = fit.fit(q, u, given, prior)
-        x = np.concatenate([each(before.q, batch, n), each(before.velocity, batch, m - n)], axis=1)
+        x = each(np.concatenate([before.q, before.velocity], axis=-1), batch, m).copy()
         _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
         velocity = x[:, n:].reshape(*batch, m - n)
         after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
@@ -313,6 +329,14 @@ class KalmanFilter(MotionModel):
         chi2 = status[:, CHI2].reshape(batch)[()]
         C = self.by_bounds(C[..., :k, :k])
         return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
+
+    def _given(self, before: KalmanState, fixed: Array, known: Array | None) -> Array | None:
+        """Return what is certain or known ``[..., n_q + k]``, NaN for the rest; nothing if there is none."""
+        values = np.where(fixed, before.q, np.nan)
+        if known is not None:
+            values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
+            values = self.angles.nearest(values, before.q) if self.angles else values
+        return None if np.isnan(values).all() else values
 
 
 @kernel(entry=True, allocates=True)

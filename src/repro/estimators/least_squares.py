@@ -26,6 +26,7 @@ from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
+    batch_of,
     described,
     each,
     evenly,
@@ -216,7 +217,7 @@ class LevenbergMarquardt:
         held = None if known is None else ~np.isnan(known)
         if held is not None and known is not None:
             q = np.where(held, known, q)
-        batch = np.broadcast_shapes(q.shape[:-1], u.shape[:-1])
+        batch = batch_of(q, u)
         flat, rows = each(q, batch, n).copy(), np.ascontiguousarray(each(u, batch, s))
         mean, information = _NO_PRIOR if prior is None else prior
         if prior is not None:

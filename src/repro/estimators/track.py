@@ -321,52 +321,44 @@ def run(
         watch = Monitor(estimator)
     method: Estimator = estimator if watch is None else watch
     state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
-    states, estimates, hidden, found = [], [], [], _Rows(len(rows))
+    states, estimates, hidden = [], [], []
+    found: dict[str, Any] = {}
     for k in _with_bar(len(rows), progress):
         row = rows[k]
         if near is not None:
             hidden.append(near.readings())
             row = np.where(hidden[-1], np.nan, row)
-        own = {name: values[k] for name, values in given.items() if values is not None}
-        state, estimate = method.step(state, row, float(at[k]), **own)
+        state, estimate = method.step(
+            state, row, float(at[k]), **{name: x[k] for name, x in given.items() if x is not None}
+        )
         if near is not None:
             near.q = estimate.q
         if smoothing:
             states.append(state if watch is None else state.inner)
         estimates.append(estimate)
         if len(estimates) == _AT_ONCE or k == len(rows) - 1:
-            some = slice(found.written, k + 1)
+            some = slice(k + 1 - len(estimates), k + 1)
             mask = None if given["mask"] is None else given["mask"][some]
-            part = trajectory(at[some], rows[some], estimates, robot, watch, mask)
+            _write(
+                found, vars(trajectory(at[some], rows[some], estimates, robot, watch, mask)), some, len(rows)
+            )
             if near is not None:
-                part.details["too_near"] = np.array(hidden)
-            found.write(part)
+                _write(found["details"], {"too_near": np.array(hidden)}, some, len(rows))
             estimates, hidden = [], []
-    return Trajectory(times=np.array(at), readings=rows, robot=robot, **found.fields), states
+    return Trajectory(**{**found, "times": np.array(at), "readings": rows, "robot": robot}), states
 
 
-class _Rows:
-    """The arrays of all rows of a trajectory, written some rows at a time."""
-
-    def __init__(self, n: int) -> None:
-        self.n, self.written = n, 0
-        self.fields: dict[str, Any] = {}
-
-    def write(self, part: Trajectory) -> None:
-        """Take over the next rows."""
-        own = {name: x for name, x in vars(part).items() if name not in ("times", "readings", "robot")}
-        details = own.pop("details")
-        self._into(self.fields, own)
-        self._into(self.fields.setdefault("details", {}), details)
-        self.written += len(part.times)
-
-    def _into(self, arrays: dict[str, Any], part: dict[str, Any]) -> None:
-        for name, values in part.items():
-            if self.written == 0:
-                arrays[name] = None if values is None else np.empty((self.n, *values.shape[1:]), values.dtype)
-            if arrays.get(name) is not None:
-                arrays[name] = arrays[name].astype(np.result_type(arrays[name], values), copy=False)
-                arrays[name][self.written : self.written + len(values)] = values
+def _write(arrays: dict[str, Any], part: dict[str, Any], some: slice, n: int) -> None:
+    """Write some rows into the arrays of all ``n`` rows, which the first ones make."""
+    for name, values in part.items():
+        if isinstance(values, dict):
+            _write(arrays.setdefault(name, {}), values, some, n)
+        elif isinstance(values, np.ndarray) and name not in ("times", "readings"):
+            room = arrays.get(name, np.empty((n, *values.shape[1:]), values.dtype))
+            arrays[name] = room.astype(np.result_type(room, values), copy=False)
+            arrays[name][some] = values
+        else:
+            arrays[name] = values
 
 
 def _rows(readings: Any, robot: Assembly | None, owner: str) -> Array:
