@@ -297,7 +297,7 @@ def test_the_numbers_of_the_home_page_are_means():
     networks = pd.DataFrame({"row": "T5", "quantity": axes, "unit": "mm", "error": [6.0, 4.0, 99.0]})
     others = (
         rig.assign(row="T4", regenerated="12"),
-        rig.assign(row="T3", unit="%"),
+        rig.assign(row="T3", unit="%", regenerated="400"),
         ring.assign(regenerated="9", best="9", unit="mT"),
     )
     found = page.findings(pd.concat([ring, bend, rig, *others]), noise, networks)
