@@ -11,7 +11,7 @@ PACKAGES = ("src/repro", "src/repro_board", "src/repro_companion", "tests", "ben
 STATEMENTS, ARGUMENTS, NAMES = 40, 8, 30
 """What a function should not exceed. Names are those that are assigned or passed, in nested functions too."""
 KERNEL_ARGUMENTS = 15
-"""Arguments of a compiled function, whose statements and names nobody counts."""
+"""Arguments of a compiled function, whose names nobody counts."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -64,19 +64,17 @@ def outermost(tree: ast.AST, public: bool = True) -> Iterator[tuple[Function, bo
 
 
 def has_much(function: Function, public: bool) -> str:
-    """Return in words what of a function is too much; public ones may have an argument for each option."""
+    """Return in words what of a function is too much; a public one's options do not count as arguments."""
     kernel = any("kernel" in ast.unparse(x) or "njit" in ast.unparse(x) for x in function.decorator_list)
-    own, documented = (
-        arguments_of(function),
-        public and bool(function.args.kwonlyargs or function.args.defaults),
-    )
+    options = len(function.args.defaults) + sum(x is not None for x in function.args.kw_defaults)
     found = {
         "statements": (count(function) - 1, STATEMENTS),
-        "arguments": (len(own), KERNEL_ARGUMENTS if kernel else 10**3 if documented else ARGUMENTS),
-        "names": (len(local_names(function)), 10**3 if kernel else NAMES),
+        "arguments": (
+            len(arguments_of(function)) - options * public,
+            KERNEL_ARGUMENTS if kernel else ARGUMENTS,
+        ),
+        "names": (0 if kernel else len(local_names(function)), NAMES),
     }
-    if kernel:
-        del found["statements"]
     return ", ".join(f"{n} {name}" for name, (n, most) in found.items() if n > most)
 
 
