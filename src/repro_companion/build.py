@@ -211,7 +211,10 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
         {"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text}
         for number, text in enumerate(filter(None, texts or ()))
     ]
-    return {**executed, "cells": [*cells[:1], *first, *cells[1:], *folds]}
+    generated = root / "book" / "generated" / f"claims_{name}.md"
+    claimed = generated.read_text(encoding="utf-8") if generated.is_file() else ""
+    claims = [{"cell_type": "markdown", "id": "claims", "metadata": {}, "source": claimed}] if claimed else []
+    return {**executed, "cells": [*cells[:1], *first, *claims, *cells[1:], *folds]}
 
 
 def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:

@@ -14,6 +14,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pandas as pd
 
+from repro_companion.claims import claims_of, claims_table, headlines
 from repro_companion.papers.fetch import Source, amount, read_sources
 from repro_companion.run import recordings
 from repro_companion.scorecard import COMPARED, KINDS, band, beside, counts, is_error, kinds, papers_of_files
@@ -83,14 +84,19 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
     study = root / "data" / "studies" / "table_2_networks.csv"
     networks = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NETWORK_COLUMNS)
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
+    home = findings(card, noise, networks)
+    claims = claims_of(root, card, home)
     texts = {
         "index.md": index_page(index, titles, card),
         "find.md": finder_page(index[index["status"] != "not reproduced"]),
         "counts.md": counts_page(card[real.columns], real),
         "rows.md": rows_page(card, places),
         "files.md": files_page(read_sources(root / "data" / "sources.json")),
-        "values.json": json.dumps(findings(card, noise, networks), ensure_ascii=False),
+        "values.json": json.dumps(home, ensure_ascii=False),
+        "claims.md": headlines(claims, titles, PAPERS),
     }
+    for page in claims["page"].unique():
+        texts[f"claims_{Path(page).name}.md"] = claims_table(claims, page)
     for name, text in texts.items():
         path = root / "book" / "generated" / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,67 @@
+"""Claims of the papers beside our numbers."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from repro_companion import claims
+
+ROOT = Path(__file__).resolve().parents[2]
+CARD = pd.DataFrame(
+    {
+        "artefact": ["A", "A"],
+        "row": ["r"] * 2,
+        "quantity": ["q", "p"],
+        "unit": ["%"] * 2,
+        "regenerated": ["0.0251", "12"],
+    }
+)
+
+
+def test_a_number_stands_where_it_is_named():
+    """By its name on the home page, or by its row of the scorecard, with two digits."""
+    text = claims.filled("{A|r|q|%} % of {home.x}, not {A|r|p|%}", CARD, {"home.x": "7"})
+    assert text == "0.025 % of 7, not 12"
+
+
+def test_a_name_without_a_number_is_refused():
+    """A renamed row does not leave a hole in a sentence."""
+    with pytest.raises(ValueError, match=r"names \{A\|r\|z\|%\}, which is 0 rows of the scorecard"):
+        claims.filled("{A|r|z|%}", CARD, {})
+
+
+def test_the_committed_claims_name_sections_pages_and_numbers():
+    """Every claim says where the paper makes it, and stands on a page that is there."""
+    card = pd.read_csv(ROOT / "results" / "scorecard.csv", dtype=str, keep_default_na=False)
+    known = dict.fromkeys(("home.networks_least", "home.networks_most", "home.compared", "home.outside"), "1")
+    found = claims.claims_of(ROOT, card, known)
+    assert (found[["paper", "section", "page", "claim", "found", "why"]] != "").all(axis=None)
+    assert not found["found"].str.contains("[{}]").any()
+    assert all((ROOT / f"{page}.ipynb").is_file() for page in found["page"])
+    assert found.groupby("paper")["headline"].apply(lambda x: (x == "yes").sum()).to_dict() == {
+        "baaij2023": 3,
+        "martin2022": 2,
+        "mitchell2021": 1,
+    }
+
+
+def test_a_page_has_its_own_claims_and_the_home_page_the_headlines():
+    """A table has a line for each claim; a page without claims has none."""
+    found = pd.DataFrame(
+        {
+            "paper": ["x"],
+            "section": ["Abstract"],
+            "page": ["notebooks/a"],
+            "headline": ["yes"],
+            "claim": ["it works"],
+            "found": ["it does"],
+            "why": ["because"],
+        }
+    )
+    table = claims.claims_table(found, "notebooks/a")
+    assert "| it works (Abstract) | it does | because |" in table
+    assert claims.claims_table(found, "notebooks/b").strip() == ""
+    assert "| X | it works | it does | [Table 1](notebooks/a.ipynb) |" in claims.headlines(
+        found, {"notebooks/a": "Table 1: errors"}, {"x": "X"}
+    )
