@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.chain import Place, point_on
+from repro.chain import Place
 from repro.common import Array, require
-from repro.parts import Assembly
+from repro.magnets import Magnet, Shape
+from repro.parts import Assembly, Sensor
 from repro.sensing import Sensing, sensing_of
 
 Described = TypeVar("Described", bound=Assembly)
@@ -20,7 +22,6 @@ Described = TypeVar("Described", bound=Assembly)
 _STEP = 1e-6
 """Of central differences, in every unit."""
 _MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
-_SENSOR = ("azimuth", "radius", "tilt")
 
 
 @dataclass(frozen=True)
@@ -81,58 +82,64 @@ class Tolerances:
         require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
 
 
-def placed(robot: Described, parameters: Mapping[str, float]) -> Described:
+def placed(
+    robot: Described, parameters: Mapping[str, float], sensors: Sequence[Sensor] | None = None
+) -> Described:
     r"""Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
 
     Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
     end of a segment, and beyond it, it goes straight on. A dimension :math:`d` of a magnet that is off by :math:`x`
     is :math:`d\,e^{x/d}`, and its polarisation is multiplied by :math:`e^x`: neither changes its sign.
+    ``sensors`` are those that are off already, if somebody knows them.
 
     Raises
     ------
     InputError
         If no robot is like that.
     """
-    own, magnets, sensors = parameters.get, [], []
     shapes, rows = _strengths(robot, parameters)
-    for k, part in enumerate(robot.magnets):
-        name = f"magnet {k + 1} "
-        p = np.array([own(name + x, 0.0) for x in _MAGNET])
-        R = part.place.rotation
-        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        position = part.place.position + R @ p[:3] + [0.0, 0.0, beyond]
-        magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
-    for j, part in enumerate(robot.sensors):
-        name = f"sensor {j + 1} "
-        azimuth, radius, tilt = (own(name + x, 0.0) for x in _SENSOR)
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        shift = [own(name + x, 0.0) for x in "xyz"]
-        position = _about(2, azimuth) @ (part.place.position * [1 + radius, 1 + radius, 1.0] + shift)
-        R = _about(2, azimuth) @ part.place.rotation @ _about(1, -tilt)
-        R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
-        turned: dict[str, Any] = {"direction": R[:, 2]}
-        if part.axes == 3:
-            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        gain = part.gain * np.array([1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)])
-        offset = part.offset + np.array([own(name + x, 0.0) for x in _per_axis("offset", part.axes)])
-        moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
-        moved |= {
-            "radial": 0.0,
-            "azimuth": 0.0,
-            "tilt": 0.0,
-            "gain": tuple(gain.tolist()),
-            "offset": tuple(offset.tolist()),
-        }
-        sensors.append(replace(part, **moved))
-    relative = np.vectorize(own)(_moment_names(robot, rows.shape[1]), 0.0)
-    earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
+    magnets = [_magnet_off(robot, k, shapes[k], parameters) for k in range(len(robot.magnets))]
+    if sensors is None:
+        sensors = [_sensor_off(robot, k, parameters) for k in range(len(robot.sensors))]
+    relative = np.vectorize(parameters.get)(_moment_names(robot, rows.shape[1]), 0.0)
+    earth = np.array([parameters.get(f"Earth field along {x}", 0.0) for x in "xyz"])
     if earth.any():
         robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
     return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
 
 
-def _sizes(shape: Any) -> dict[str, float]:
+def _magnet_off(robot: Assembly, k: int, shape: Shape, parameters: Mapping[str, float]) -> Magnet:
+    part, own = robot.magnets[k], _own(parameters, f"magnet {k + 1} ")
+    R = part.place.rotation
+    tilted = R @ Rotation.from_euler("XY", [own["tilt about x"], own["tilt about y"]]).as_matrix()
+    at, beyond = _along(robot, part.place, own["along"])
+    position = part.place.position + R @ [own[x] for x in "xyz"] + [0.0, 0.0, beyond]
+    return replace(part, shape=shape, at=at, position=position, direction=tilted[:, 2])
+
+
+def _sensor_off(robot: Assembly, k: int, parameters: Mapping[str, float]) -> Sensor:
+    part, own = robot.sensors[k], _own(parameters, f"sensor {k + 1} ")
+    around, outwards = Rotation.from_euler("z", own["azimuth"]), 1 + own["radius"]
+    at, beyond = _along(robot, part.place, own["along"])
+    position = part.place.position * [outwards, outwards, 1.0] + [own[x] for x in "xyz"]
+    tilt = Rotation.from_euler("YXZ", [-own["tilt"], own["tilt about x"], own["tilt about z"]])
+    R = around * Rotation.from_matrix(part.place.rotation) * tilt
+    turned = {"direction": R.as_matrix()[:, 2]} if part.axes == 1 else {"orientation": R.as_quat()}
+    gain = np.multiply(part.gain, [1 + own[x] for x in _per_axis("gain", part.axes)])
+    offset = np.add(part.offset, [own[x] for x in _per_axis("offset", part.axes)])
+    return replace(
+        part, at=at, position=around.apply(position) + np.array([0.0, 0.0, beyond]), **turned,
+        radial=0.0, azimuth=0.0, tilt=0.0, gain=tuple(gain.tolist()), offset=tuple(offset.tolist()),
+    )  # fmt: skip
+
+
+def _own(parameters: Mapping[str, float], owner: str) -> defaultdict[str, float]:
+    """Return the parameters of a part by their names behind its own, zero if not given."""
+    found = {x.removeprefix(owner): value for x, value in parameters.items() if x.startswith(owner)}
+    return defaultdict(float, found)
+
+
+def _sizes(shape: Shape) -> dict[str, float]:
     """Dimensions of a magnet that are there."""
     return {name: size for name, size in vars(shape).items() if name != "polarisation_mt" and size > 0}
 
@@ -148,7 +155,7 @@ def _moment_names(robot: Assembly, terms: int) -> Array:
     return np.array([[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners])
 
 
-def _strengths(robot: Assembly, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
+def _strengths(robot: Assembly, parameters: Mapping[str, float]) -> tuple[list[Shape], Array]:
     """Shapes of the magnets, and their moments without the relative changes of moments."""
     rows, shapes = np.array(sensing_of(robot).moments if robot.moments is None else robot.moments), []
     for k, magnet in enumerate(robot.magnets):
@@ -193,13 +200,6 @@ def priors_of(robot: Assembly, t: Tolerances) -> dict[str, float]:
     return {name: std for name, std in priors.items() if std}
 
 
-def _about(axis: int, angle: float) -> Array:
-    c, s, R = math.cos(angle), math.sin(angle), np.eye(3)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    R[j, j], R[j, k], R[k, j], R[k, k] = c, -s, s, c
-    return R
-
-
 def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
     """Place along its segment after a move, and how far beyond the end of the segment that is."""
     reach, at = robot.segments[where.segment - 1].length if where.segment else 0.0, where.at
@@ -209,81 +209,25 @@ def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
 
 
 def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
-    """Return slopes of readings by the parameters ``[poses, s, k]``.
+    """Return slopes of magnetic readings by the parameters ``[poses, s, k]``, by central differences.
 
-    The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
+    ``moved`` is the sensor model of the robot that is off by the parameters.
     """
-    robot, gain = moved.robot, moved.tables.gain
-    u, wrench = moved.wrenches(q)
-    on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
-    frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
-    columns: dict[str, Array] = {}
-    for k in range(n_m):
-        columns |= _of_magnet(described, robot, k, frames[:, k], wrench[:, :, k], parameters)
-    first = np.cumsum([0, *(part.axes for part in robot.sensors)])
-    for j in range(len(robot.sensors)):
-        rows = slice(first[j], first[j + 1])
-        own = _of_sensor(
-            described, robot, j, frames[:, n_m + j], wrench[:, rows].sum(2), u[:, rows], parameters
-        )
-        for name, slope in own.items():
-            columns[name] = np.zeros(u.shape)
-            columns[name][:, rows] = slope
-    before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
-    for name in dict.fromkeys(names.T.ravel().tolist()):
-        one = np.where(names == name, before, 0.0)
-        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)]
-    columns = {name: slope * gain for name, slope in columns.items()}
-    for name in parameters.keys() - columns.keys():
+    columns = []
+    for name, value in parameters.items():
         up, down = (
-            sensing_of(placed(described, {**parameters, name: parameters[name] + h}))(q)[:, : len(gain)]
+            sensing_of(_moved(described, moved.robot, name, {**parameters, name: value + h}))(q)
             for h in (_STEP, -_STEP)
         )
-        columns[name] = (up - down) / (2 * _STEP)
-    return np.stack([columns[name] for name in parameters], axis=-1)
+        columns.append((up - down)[:, : moved.n_magnetic] / (2 * _STEP))
+    return np.stack(columns, axis=-1)
 
 
-def _of_magnet(
-    described: Assembly, robot: Assembly, k: int, frame: Array, wrench: Array, parameters: Mapping[str, float]
-) -> dict[str, Array]:
-    """Slopes of all readings by place and tilt of a magnet."""
-    name, F = f"magnet {k + 1} ", frame[:, :3, :3]
-    R = F @ described.magnets[k].place.rotation
-    centre = frame[:, :3, 3] + F @ robot.magnets[k].place.position
-    tilt = parameters.get(name + "tilt about x", 0.0)
-    turns = np.stack([np.eye(3)[:, 0], _about(0, tilt)[:, 1]], axis=1)
-    force = wrench[..., :3]
-    torque = wrench[..., 3:] - np.cross(centre[:, None], force)
-    by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
-    return {name + x: by[..., c] for c, x in enumerate(_MAGNET)}
-
-
-def _of_sensor(
-    described: Assembly, robot: Assembly, j: int, frame: Array, wrench: Array, u: Array,
-    parameters: Mapping[str, float],
-) -> dict[str, Array]:  # fmt: skip
-    """Slopes of a sensor's own readings by its place, tilt and gain."""
-    name, part, place = f"sensor {j + 1} ", described.sensors[j], robot.sensors[j].place
-    F, at = frame[:, :3, :3], frame[:, :3, 3] + frame[:, :3, :3] @ place.position
-    azimuth, tilt = (parameters.get(name + x, 0.0) for x in ("azimuth", "tilt"))
-    turned = _about(2, azimuth)
-    force, torque = wrench[..., :3], wrench[..., 3:] - np.cross(at[:, None], wrench[..., :3])
-    around = np.cross([0.0, 0.0, 1.0], place.position)
-    outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
-    across = -(turned @ part.place.rotation)[:, 1]
-    tilted = turned @ part.place.rotation @ _about(1, -tilt)
-    slopes = {
-        "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
-        "radius": _work(force, F @ outwards),
-        "tilt": _work(torque, F @ across),
-        "tilt about x": _work(torque, F @ tilted[:, 0]),
-        "tilt about z": _work(torque, F @ place.rotation[:, 2]),
-    }
-    slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
-    for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
-        slopes[x] = u * axis / (1 + parameters.get(name + x, 0.0))
-    return {name + x: slope for x, slope in slopes.items()}
-
-
-def _work(force: Array, motion: Array) -> Array:
-    return np.einsum("psi,pi->ps", force, motion)
+def _moved(described: Assembly, robot: Assembly, name: str, parameters: Mapping[str, float]) -> Assembly:
+    """Return the robot of the parameters, given that of the same but for one of this name."""
+    owner, number = name.split(" ")[:2]
+    if owner != "sensor":
+        return placed(described, parameters, robot.sensors)
+    sensors, k = list(robot.sensors), int(number) - 1
+    sensors[k] = _sensor_off(described, k, parameters)
+    return robot.replaced(sensors=sensors)
