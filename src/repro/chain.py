@@ -377,13 +377,9 @@ class Chain:
     @cached_property
     def rotations(self) -> tuple[tuple[int, ...], ...]:
         """Coordinates of every rotation: an azimuth, or the components of a rotation vector."""
-        found: list[tuple[int, ...]] = []
-        first = 0
-        for segment in self.segments:
-            of_segment = range(first, first + len(segment.coordinates))
-            first = of_segment.stop
-            found.append(tuple(c for c in of_segment if self.angles[c]))
-        return tuple(one for one in found if one)
+        segment = np.repeat(range(len(self.segments)), [len(x.coordinates) for x in self.segments])
+        found = [np.flatnonzero(self.angles & (segment == g)) for g in range(len(self.segments))]
+        return tuple(tuple(one.tolist()) for one in found if len(one))
 
     @cached_property
     def free_angles(self) -> FreeAngles:

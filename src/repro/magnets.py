@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.spatial.transform import Rotation
 
 from repro.chain import Place, place
-from repro.common import Array, ArrayLike, bad_input, numbers, require, scalar
+from repro.common import Array, ArrayLike, numbers, require, scalar
 from repro.parts import Assembly, check_tolerance
 
 
@@ -321,8 +321,7 @@ def simulated_readings(robot: Assembly, q: ArrayLike, earth_mt: ArrayLike | None
     array([-2.248, -2.248, -2.248])
     """
     q = robot.check_q(q, "simulated_readings")
-    if not robot.sensors and not robot.imus:
-        raise bad_input("robot", "simulated_readings", "one with sensors or IMUs", "neither")
+    require(robot.n_readings, "robot", "simulated_readings", "one with sensors or IMUs", "neither")
     parts = [*robot.magnets, *robot.sensors, *robot.imus]
     T = robot.poses(q, [part.place for part in parts])
     n_m, n_s = len(robot.magnets), len(robot.sensors)
@@ -337,10 +336,8 @@ def simulated_readings(robot: Assembly, q: ArrayLike, earth_mt: ArrayLike | None
             own = [k for k, magnet in enumerate(robot.magnets) if magnet.shape == shape]
             B += (R[..., own, :, :] @ shape.field(local[..., own, :])[..., None])[..., 0].sum(-2)
         read = (np.swapaxes(axes, -1, -2) @ B[..., None])[..., 0]
-        for j, sensor in enumerate(robot.sensors):
-            columns.append(read[..., j, :] if sensor.axes == 3 else read[..., j, 2:])
+        columns += [read[..., j, -sensor.axes :] for j, sensor in enumerate(robot.sensors)]
     if robot.imus:
-        R = T[..., n_m + n_s :, :3, :3]
-        turns = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
+        turns = Rotation.from_matrix(T[..., n_m + n_s :, :3, :3].reshape(-1, 3, 3)).as_rotvec()
         columns.append(turns.reshape(*q.shape[:-1], -1))
     return np.concatenate(columns, axis=-1)

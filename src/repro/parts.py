@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 
 from repro.chain import Chain, Place, Segment, place, unit_quaternions
-from repro.common import Array, ArrayLike, bad_input, numbers, require, scalar
+from repro.common import Array, ArrayLike, numbers, require, scalar
 from repro.networks import Network
 
 TOLERANCES = {
@@ -115,9 +115,9 @@ class Sensor:
 
     def __post_init__(self) -> None:
         require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
-        if self.channels is not None:
-            fits = type(self.channels) is not str and len(self.channels) == self.axes
-            require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", self.channels)
+        named = self.channels
+        fits = named is None or (type(named) is not str and len(named) == self.axes)
+        require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", named)
         for name in ("resolution", "range", "per_mt", "radial"):
             _ = scalar(vars(self)[name], name, "Sensor")
         require(
@@ -132,16 +132,18 @@ class Sensor:
             fits = value is None or numbers(value, name, "Sensor").shape in ((), (self.axes,))
             require(fits, name, "Sensor", f"one number or {self.axes}, one for every axis", value)
         require(np.all(self.gain), "gain", "Sensor", "not zero", self.gain)
-        if self.noise is not None:
-            require(np.greater(self.noise, 0).all(), "noise", "Sensor", "positive [mT]", self.noise)
+        positive = self.noise is None or np.greater(self.noise, 0).all()
+        require(positive, "noise", "Sensor", "positive [mT]", self.noise)
         require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)
         check_tolerance(self.tolerance, "Sensor")
         require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
-        if self.axes == 3:
-            one = self.direction is None and not self.tilt
-            require(one, "direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
-        elif self.orientation is not None:
-            raise bad_input("orientation", "Sensor", "for three axes; direction is for one", self.orientation)
+        turned = self.direction is not None or bool(self.tilt)
+        expected = "for one axis; orientation is for three"
+        require(self.axes == 1 or not turned, "direction, tilt", "Sensor", expected, "both")
+        expected = "for three axes; direction is for one"
+        require(
+            self.axes == 3 or self.orientation is None, "orientation", "Sensor", expected, self.orientation
+        )
         _ = self.place
 
     @cached_property

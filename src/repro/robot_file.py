@@ -124,18 +124,14 @@ def _vector(what: str, unit: str = "", n: int = 3, most: float = 1e9) -> _Key:
 
 
 def _quaternion(turn: str) -> _Key:
-    def doubt(x: Any) -> str:
-        return "looks as if w came first" if abs(x[0]) > 0.999 else ""
+    return _vector(f"a unit quaternion [x, y, z, w] {turn}", n=4)._replace(
+        doubt=lambda x: "looks as if w came first" if abs(x[0]) > 0.999 else ""
+    )
 
-    return _vector(f"a unit quaternion [x, y, z, w] {turn}", n=4)._replace(doubt=doubt)
 
-
-def _earth() -> _Key:
-    def doubt(x: Any) -> str:
-        size = math.hypot(*x)
-        return f"has a length of {size:.2g} mT, which is doubtful" if not 0.01 < size < 0.1 and size else ""
-
-    return _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=doubt)
+def _doubt_of_earth(field: list[float]) -> str:
+    size = math.hypot(*field)
+    return f"has a length of {size:.2g} mT, which is doubtful" if size and not 0.01 < size < 0.1 else ""
 
 
 def _word(*words: str, default: object = _NEEDED) -> _Key:
@@ -403,7 +399,7 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
 def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
     top = document.read(
         {
-            "earth_mt": _earth(),
+            "earth_mt": _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=_doubt_of_earth),
             "base_orientation": _quaternion("from the frame of the base to the world of the IMUs"),
             "stream": _TABLE,
             "model": _TABLE,

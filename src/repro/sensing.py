@@ -596,11 +596,10 @@ class Sensing:
         The slopes of an IMU are by how much it turns about the axes of the base [rad per unit of the coordinate].
         """
         q = self.robot.check_q(q, "Sensing")
-        flat = rows_of(q)
-        u, J = np.empty((len(flat), self.n_readings)), np.empty((len(flat), self.n_readings, self.n_q))
-        _batch(*self.packed, flat, _SLOPES, u, J, _NO_SLOPES)
-        batch = q.shape[:-1]
-        return u.reshape(*batch, -1), J.reshape(*batch, *J.shape[1:])
+        u = np.empty((*q.shape[:-1], self.n_readings))
+        J = np.empty((math.prod(q.shape[:-1]), self.n_readings, self.n_q))
+        _batch(*self.packed, rows_of(q), _SLOPES, rows_of(u), J, _NO_SLOPES)
+        return u, J.reshape(*u.shape, self.n_q)
 
     def difference(self, u: ArrayLike, u_hat: ArrayLike) -> Array:
         """Return what was read beyond what was predicted ``[..., s]``, NaN where nothing was read.
