@@ -13,7 +13,6 @@ import numpy as np
 
 from repro.chain import Chain, Place, Segment, place, unit_quaternions
 from repro.common import Array, ArrayLike, numbers, require, scalar
-from repro.networks import Network
 
 TOLERANCES = {
     "magnet": ("position", "at", "tilt", "polarisation", "size"),
@@ -253,7 +252,7 @@ class Assembly(Chain):
         noise: ArrayLike | None = None,
         rate_hz: float | None = None,
         earth: ArrayLike | None = None,
-        model: Network | Sequence[Network] | None = None,
+        model: Any = None,
         moments: ArrayLike | None = None,
         source: Source | None = None,
     ) -> None:
