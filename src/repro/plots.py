@@ -87,8 +87,9 @@ def plot_robot(
 def _usual_shape(robot: Assembly) -> Array:
     if robot.start is not None:
         return robot.start
-    stated = robot.lower is not None and robot.upper is not None
-    return (robot.lower + robot.upper) / 2 if stated else np.zeros(robot.n_q)
+    if robot.lower is None or robot.upper is None:
+        return np.zeros(robot.n_q)
+    return (robot.lower + robot.upper) / 2
 
 
 def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:
