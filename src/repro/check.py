@@ -272,10 +272,9 @@ def _off_drawing(robot: Assembly, sensing: Sensing, q: Array) -> Array:
         return off
     drawn = robot.replaced(imus=(), noise=None, moments=sensing.moments)
     priors = priors_of(drawn, Tolerances())
-    rows = np.zeros((len(q), sensing.n_readings, len(priors)))
-    K = slopes_of(drawn, sensing_of(drawn), dict.fromkeys(priors, 0.0), q) * list(priors.values())
-    rows[:, : sensing.n_magnetic] = K
-    return np.concatenate([rows, off], axis=-1)
+    of_parts = slopes_of(drawn, sensing_of(drawn), dict.fromkeys(priors, 0.0), q) * list(priors.values())
+    of_parts = np.pad(of_parts, ((0, 0), (0, 3 * len(robot.imus)), (0, 0)))
+    return np.concatenate([of_parts, off], axis=-1)
 
 
 def _added(robot: Assembly, H: Array) -> dict[str, float]:
