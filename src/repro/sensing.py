@@ -105,7 +105,7 @@ def _real(ints, floats, k):
 
 @kernel(allocates=True)
 def unpack(ints, floats, weights):
-    """Return the tables as views of the three arrays."""
+    """Return the tables as views of the three arrays, by their numbers in the lists of ``pack``."""
     terms, model, angles, activation = _whole(ints, 0)
     chain = Frames(
         _whole(ints, 1), _real(ints, floats, 0).reshape(-1, 2), _whole(ints, 2), _whole(ints, 3),
