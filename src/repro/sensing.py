@@ -35,7 +35,7 @@ from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.parts import Assembly
 
 _MULTIPOLES, _NETWORKS = range(2)
-_VALUES, _SLOPES, _RELATIONS = range(3)
+_VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
 _WHOLE, _REAL = 10, 9
 """Number of tables of whole and of real numbers that are packed."""
 
@@ -384,18 +384,26 @@ def difference(n_s, u, u_hat, r, A, B, W):
 
 
 @kernel(entry=True, allocates=True)
-def _batch(ints, floats, weights, q, task, u, J, xi):
-    """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds."""
+def _batch(ints, floats, weights, q, task, u, J, extra):
+    """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
+
+    ``extra`` takes the relations or the wrenches.
+    """
     t = unpack(ints, floats, weights)
     room = room_for(t)
     for n in range(len(q)):
-        if task == _RELATIONS:
-            geometry(t, q[n], False, room)
-            for j in range(len(t.row_frame)):
-                relate(t, j, room)
-                xi[n, j, :] = room.xi
-        else:
+        if task <= _SLOPES:
             evaluate(t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
+            continue
+        geometry(t, q[n], False, room)
+        for j in range(len(t.row_frame)):
+            relate(t, j, room)
+            if task == _RELATIONS:
+                extra[n, j, :] = room.xi
+            else:
+                u[n, j] = _multipoles(t, room.xi, room.gradient)
+                wrenches(t, room)
+                extra[n, j, :] = room.wrenches.ravel()
 
 
 @kernel(entry=True, allocates=True)
@@ -610,6 +618,20 @@ class Sensing:
         r = np.empty(u.shape)
         batch_difference(self.n_magnetic, rows_of(u), rows_of(u_hat), rows_of(r))
         return r
+
+    def wrenches(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Return the multipole readings without gain and offset, and the wrench of every magnet on every reading.
+
+        The wrench ``[..., s, m + 1, 6]`` is a force, then a torque about the origin of the base frame: a reading
+        changes by ``wrench @ (motion, turn)`` when its sensor moves by that twist, and by the negative when the
+        magnet does. The last one is that of the Earth's field.
+        """
+        require(self.model is None, "model", "wrenches", "multipoles", type(self.model).__name__)
+        q = self.robot.check_q(q, "Sensing")
+        u = np.empty((*q.shape[:-1], self.n_magnetic))
+        wrench = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 6 * (len(self.robot.magnets) + 1)))
+        _batch(*self.packed, rows_of(q), _WRENCHES, rows_of(u), _NO_SLOPES, wrench)
+        return u, wrench.reshape(*u.shape, -1, 6)
 
 
 def sensing_of(robot: Assembly) -> Sensing:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.chain import Place
+from repro.chain import Place, point_on
 from repro.common import Array, require
 from repro.magnets import Magnet, Shape
 from repro.parts import Assembly, Sensor
@@ -82,15 +82,12 @@ class Tolerances:
         require(good, "tolerances", "Tolerances", "positive, or zero for what is as drawn", self)
 
 
-def placed(
-    robot: Described, parameters: Mapping[str, float], sensors: Sequence[Sensor] | None = None
-) -> Described:
+def placed(robot: Described, parameters: Mapping[str, float]) -> Described:
     r"""Return the robot whose parts are off their drawing by parameters, as :class:`Calibration` names them.
 
     Parts move within the cross-section that they are mounted on. Along the backbone a part follows its curve; at the
     end of a segment, and beyond it, it goes straight on. A dimension :math:`d` of a magnet that is off by :math:`x`
     is :math:`d\,e^{x/d}`, and its polarisation is multiplied by :math:`e^x`: neither changes its sign.
-    ``sensors`` are those that are off already, if somebody knows them.
 
     Raises
     ------
@@ -99,8 +96,7 @@ def placed(
     """
     shapes, rows = _strengths(robot, parameters)
     magnets = [_magnet_off(robot, k, shapes[k], parameters) for k in range(len(robot.magnets))]
-    if sensors is None:
-        sensors = [_sensor_off(robot, k, parameters) for k in range(len(robot.sensors))]
+    sensors = [_sensor_off(robot, k, parameters) for k in range(len(robot.sensors))]
     relative = np.vectorize(parameters.get)(_moment_names(robot, rows.shape[1]), 0.0)
     earth = np.array([parameters.get(f"Earth field along {x}", 0.0) for x in "xyz"])
     if earth.any():
@@ -208,26 +204,86 @@ def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
     return at, where.at + far - at
 
 
-def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
-    """Return slopes of magnetic readings by the parameters ``[poses, s, k]``, by central differences.
+def _about(axis: str, angle: float) -> Array:
+    return Rotation.from_euler(axis, angle).as_matrix()
 
-    ``moved`` is the sensor model of the robot that is off by the parameters.
+
+def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
+    """Return slopes of readings by the parameters ``[poses, s, k]``.
+
+    The wrench of a pair times how the part moves, for what every calibration has; central differences for the rest.
     """
-    columns = []
-    for name, value in parameters.items():
+    robot, gain = moved.robot, moved.tables.gain
+    u, wrench = moved.wrenches(q)
+    on_backbone = [point_on(part.place.segment, part.place.at) for part in (*robot.magnets, *robot.sensors)]
+    frames, n_m = robot.poses(q, on_backbone), len(robot.magnets)
+    columns: dict[str, Array] = {}
+    for k in range(n_m):
+        columns |= _of_magnet(described, robot, k, frames[:, k], wrench[:, :, k], parameters)
+    first = np.cumsum([0, *(part.axes for part in robot.sensors)])
+    for j in range(len(robot.sensors)):
+        rows = slice(first[j], first[j + 1])
+        own = _of_sensor(
+            described, robot, j, frames[:, n_m + j], wrench[:, rows].sum(2), u[:, rows], parameters
+        )
+        for name, slope in own.items():
+            columns[name] = np.zeros(u.shape)
+            columns[name][:, rows] = slope
+    before, names = _strengths(described, parameters)[1], _moment_names(described, moved.moments.shape[1])
+    for name in dict.fromkeys(names.T.ravel().tolist()):
+        one = np.where(names == name, before, 0.0)
+        columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)]
+    columns = {name: slope * gain for name, slope in columns.items()}
+    for name in parameters.keys() - columns.keys():
         up, down = (
-            sensing_of(_moved(described, moved.robot, name, {**parameters, name: value + h}))(q)
+            sensing_of(placed(described, {**parameters, name: parameters[name] + h}))(q)[:, : len(gain)]
             for h in (_STEP, -_STEP)
         )
-        columns.append((up - down)[:, : moved.n_magnetic] / (2 * _STEP))
-    return np.stack(columns, axis=-1)
+        columns[name] = (up - down) / (2 * _STEP)
+    return np.stack([columns[name] for name in parameters], axis=-1)
 
 
-def _moved(described: Assembly, robot: Assembly, name: str, parameters: Mapping[str, float]) -> Assembly:
-    """Return the robot of the parameters, given that of the same but for one of this name."""
-    owner, number = name.split(" ")[:2]
-    if owner != "sensor":
-        return placed(described, parameters, robot.sensors)
-    sensors, k = list(robot.sensors), int(number) - 1
-    sensors[k] = _sensor_off(described, k, parameters)
-    return robot.replaced(sensors=sensors)
+def _of_magnet(
+    described: Assembly, robot: Assembly, k: int, frame: Array, wrench: Array, parameters: Mapping[str, float]
+) -> dict[str, Array]:
+    """Slopes of all readings by place and tilt of a magnet."""
+    name, F = f"magnet {k + 1} ", frame[:, :3, :3]
+    R = F @ described.magnets[k].place.rotation
+    centre = frame[:, :3, 3] + F @ robot.magnets[k].place.position
+    tilt = parameters.get(name + "tilt about x", 0.0)
+    turns = np.stack([np.eye(3)[:, 0], _about("x", tilt)[:, 1]], axis=1)
+    force = wrench[..., :3]
+    torque = wrench[..., 3:] - np.cross(centre[:, None], force)
+    by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
+    return {name + x: by[..., c] for c, x in enumerate(_MAGNET)}
+
+
+def _of_sensor(
+    described: Assembly, robot: Assembly, j: int, frame: Array, wrench: Array, u: Array,
+    parameters: Mapping[str, float],
+) -> dict[str, Array]:  # fmt: skip
+    """Slopes of a sensor's own readings by its place, tilt and gain."""
+    name, part, place = f"sensor {j + 1} ", described.sensors[j], robot.sensors[j].place
+    F, at = frame[:, :3, :3], frame[:, :3, 3] + frame[:, :3, :3] @ place.position
+    azimuth, tilt = (parameters.get(name + x, 0.0) for x in ("azimuth", "tilt"))
+    turned = _about("z", azimuth)
+    force, torque = wrench[..., :3], wrench[..., 3:] - np.cross(at[:, None], wrench[..., :3])
+    around = np.cross([0.0, 0.0, 1.0], place.position)
+    outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
+    across = -(turned @ part.place.rotation)[:, 1]
+    tilted = turned @ part.place.rotation @ _about("y", -tilt)
+    slopes = {
+        "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
+        "radius": _work(force, F @ outwards),
+        "tilt": _work(torque, F @ across),
+        "tilt about x": _work(torque, F @ tilted[:, 0]),
+        "tilt about z": _work(torque, F @ place.rotation[:, 2]),
+    }
+    slopes |= {x: _work(force, F @ turned[:, c]) for c, x in enumerate("xyz")}
+    for axis, x in zip(np.eye(part.axes), _per_axis("gain", part.axes), strict=True):
+        slopes[x] = u * axis / (1 + parameters.get(name + x, 0.0))
+    return {name + x: slope for x, slope in slopes.items()}
+
+
+def _work(force: Array, motion: Array) -> Array:
+    return np.einsum("psi,pi->ps", force, motion)
