@@ -13,12 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require, rows_of, scalar
+from repro.common import Array, ArrayLike, Dimensions, bad_input, kernel, numbers, require, rows_of, scalar
 
 _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 _KINDS = "of ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody"
@@ -246,9 +247,9 @@ def place(
     owner: str,
     segment: int,
     at: float,
-    position: Any = None,
-    rotation: Any = None,
-    direction: Any = None,
+    position: ArrayLike | None = None,
+    rotation: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
 ) -> Place:
     """Return a checked place; the rotation is a quaternion XYZW or the shortest turn of z to a direction."""
     require(isinstance(segment, int | np.integer) and segment >= 0, "segment", owner, "0 or above", segment)
@@ -259,7 +260,7 @@ def place(
         require(np.any(z), "direction", owner, "a vector that is not zero", direction)
         R = _turn_of_z_to(z / np.linalg.norm(z))
     elif rotation is not None:
-        R = rotation_matrix(unit_quaternions(rotation, "orientation", owner, (4,)))
+        R = Rotation.from_quat(unit_quaternions(rotation, "orientation", owner, (4,))).as_matrix()
     return Place(int(segment), float(numbers(at, "at", owner, ())), r, R)
 
 
@@ -271,7 +272,7 @@ def _turn_of_z_to(z: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def unit_quaternions(q: Any, name: str, owner: str, shape: tuple[Any, ...]) -> Array:
+def unit_quaternions(q: ArrayLike, name: str, owner: str, shape: Dimensions) -> Array:
     """Return quaternions XYZW rescaled to norm 1; refuse those that are off by more than rounding.
 
     Raises
@@ -285,17 +286,6 @@ def unit_quaternions(q: Any, name: str, owner: str, shape: tuple[Any, ...]) -> A
         worst = float(norm.flat[np.argmax(np.abs(norm - 1))])
         raise bad_input(name, owner, "unit quaternions XYZW (norm 1 within 0.001)", f"a norm of {worst:g}")
     return found / norm
-
-
-def rotation_matrix(q: Array) -> Array:
-    """Return rotation matrices ``[..., 3, 3]`` of unit quaternions XYZW ``[..., 4]``."""
-    x, y, z, w = np.moveaxis(q, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 class Frames(NamedTuple):
@@ -338,7 +328,11 @@ class Chain:
     """
 
     def __init__(
-        self, segments: Sequence[Segment], lower: Any = None, upper: Any = None, start: Any = None
+        self,
+        segments: Sequence[Segment],
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        start: ArrayLike | None = None,
     ) -> None:
         self.segments = tuple(segments)
         require(self.segments, "segments", "Robot", "at least one segment", "none")
@@ -364,7 +358,7 @@ class Chain:
             inside = (self.start >= self.lower) & (self.start <= self.upper)
             require((free | inside).all(), "start", "Robot", "within the bounds", self.start.tolist())
 
-    def _bounds(self, lower: Any, upper: Any) -> tuple[Array | None, Array | None]:
+    def _bounds(self, lower: ArrayLike | None, upper: ArrayLike | None) -> tuple[Array | None, Array | None]:
         if lower is None and upper is None and not (self.n_q and self.angles.all()):
             return None, None
         found = []
@@ -383,13 +377,9 @@ class Chain:
     @cached_property
     def rotations(self) -> tuple[tuple[int, ...], ...]:
         """Coordinates of every rotation: an azimuth, or the components of a rotation vector."""
-        found: list[tuple[int, ...]] = []
-        first = 0
-        for segment in self.segments:
-            of_segment = range(first, first + len(segment.coordinates))
-            first = of_segment.stop
-            found.append(tuple(c for c in of_segment if self.angles[c]))
-        return tuple(one for one in found if one)
+        segment = np.repeat(range(len(self.segments)), [len(x.coordinates) for x in self.segments])
+        found = [np.flatnonzero(self.angles & (segment == g)) for g in range(len(self.segments))]
+        return tuple(tuple(one.tolist()) for one in found if len(one))
 
     @cached_property
     def free_angles(self) -> FreeAngles:
@@ -407,7 +397,7 @@ class Chain:
         expected = f"between 0 and {1e3 * reach:g} mm along segment {where.segment}"
         require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{1e3 * where.at:g} mm")
 
-    def check_q(self, q: Any, owner: str = "Robot") -> Array:
+    def check_q(self, q: ArrayLike, owner: str = "Robot") -> Array:
         """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
         found = numbers(q, "q", owner)
         names = f"of last dimension {self.n_q} ({', '.join(self.coordinates)})"
@@ -437,14 +427,14 @@ class Chain:
         reach = self.segments[where.segment - 1].length
         return where.at / reach if reach else 1.0
 
-    def poses(self, q: Any, places: Sequence[Place]) -> Array:
+    def poses(self, q: ArrayLike, places: Sequence[Place]) -> Array:
         """Return poses ``T_base_place`` ``[..., n, 4, 4]`` of places; positions in m.
 
         ``robot.poses(q, [magnet.place for magnet in robot.magnets])`` are those of the magnets.
         """
         return self.motion(q, places)[0]
 
-    def motion(self, q: Any, places: Sequence[Place]) -> tuple[Array, Array]:
+    def motion(self, q: ArrayLike, places: Sequence[Place]) -> tuple[Array, Array]:
         r"""Return poses of places and the twist of each by every coordinate.
 
         Parameters
@@ -476,18 +466,18 @@ class Chain:
         batch = q.shape[:-1]
         return T.reshape(*batch, *T.shape[1:]), X[:, frame].reshape(*batch, len(places), self.n_q, 6)
 
-    def tip(self, q: Any) -> Array:
+    def tip(self, q: ArrayLike) -> Array:
         """Return the pose of the tip ``[..., 4, 4]`` in the base frame; positions in m."""
         return self.poses(q, [point_on(len(self.segments), self.segments[-1].length)])[..., 0, :, :]
 
-    def tip_slopes(self, q: Any) -> tuple[Array, Array]:
+    def tip_slopes(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return positions of the tip ``[..., 3]`` [m] and their slopes by the coordinates ``[..., 3, n_q]``."""
         T, X = self.motion(q, [point_on(len(self.segments), self.segments[-1].length)])
         p = T[..., 0, :3, 3]
         slopes = X[..., 0, :, 3:] + np.cross(X[..., 0, :, :3], p[..., None, :])
         return p, np.swapaxes(slopes, -1, -2)
 
-    def backbone(self, q: Any, points: int = 33) -> Array:
+    def backbone(self, q: ArrayLike, points: int = 33) -> Array:
         """Return points on the backbone ``[..., k, 3]`` [m], so many per segment, from its base to its tip."""
         places = [
             point_on(g, share * segment.length)

@@ -24,7 +24,7 @@ import numpy as np
 from repro.chain import ConstantCurvature
 from repro.common import Array, require
 from repro.parts import Assembly
-from repro.sensing import sensing_of
+from repro.sensing import Sensing, sensing_of
 from repro.tolerances import Tolerances, priors_of, slopes_of
 
 _HOPELESS = 0.3
@@ -261,7 +261,7 @@ def mirrored_chips(robot: Assembly) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _off_drawing(robot: Assembly, sensing: Any, q: Array) -> Array:
+def _off_drawing(robot: Assembly, sensing: Sensing, q: Array) -> Array:
     """Slopes of the readings by what parts may be off their drawing, times its deviations ``[n, s, k]``."""
     off = np.zeros((len(q), sensing.n_readings, 3 * len(robot.imus)))
     for k, imu in enumerate(robot.imus):
@@ -272,27 +272,27 @@ def _off_drawing(robot: Assembly, sensing: Any, q: Array) -> Array:
         return off
     drawn = robot.replaced(imus=(), noise=None, moments=sensing.moments)
     priors = priors_of(drawn, Tolerances())
-    rows = np.zeros((len(q), sensing.n_readings, len(priors)))
-    K = slopes_of(drawn, sensing_of(drawn), dict.fromkeys(priors, 0.0), q) * list(priors.values())
-    rows[:, : sensing.n_magnetic] = K
-    return np.concatenate([rows, off], axis=-1)
+    of_parts = slopes_of(drawn, sensing_of(drawn), dict.fromkeys(priors, 0.0), q) * list(priors.values())
+    of_parts = np.pad(of_parts, ((0, 0), (0, 3 * len(robot.imus)), (0, 0)))
+    return np.concatenate([of_parts, off], axis=-1)
 
 
 def _added(robot: Assembly, H: Array) -> dict[str, float]:
-    eye, added = np.eye(H.shape[-1]), {}
-    whole = np.linalg.slogdet(np.swapaxes(H, 1, 2) @ H + eye)[1]
-    for k, name in enumerate(robot.part_names):
-        others = H[:, robot.parts != k]
-        without = np.linalg.slogdet(np.swapaxes(others, 1, 2) @ others + eye)[1]
-        added[name] = float((whole - without).mean()) / 2
-    return added
+    def information(rows: Array) -> Array:
+        return np.linalg.slogdet(np.swapaxes(rows, 1, 2) @ rows + np.eye(H.shape[-1]))[1]
+
+    whole = information(H)
+    return {
+        name: float((whole - information(H[:, robot.parts != k])).mean()) / 2
+        for k, name in enumerate(robot.part_names)
+    }
 
 
 def _saturated(robot: Assembly, u: Array, beyond: Array) -> dict[str, tuple[float, float]]:
-    found = {}
-    for k in np.flatnonzero(beyond.any(0)):
-        found[robot.names[k]] = float(beyond[:, k].mean()), float(np.abs(u[:, k]).max())
-    return found
+    return {
+        robot.names[k]: (float(beyond[:, k].mean()), float(np.abs(u[:, k]).max()))
+        for k in np.flatnonzero(beyond.any(0))
+    }
 
 
 def _combinations(names: list[str], shares: Array) -> tuple[str, ...]:

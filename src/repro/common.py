@@ -13,12 +13,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import EllipsisType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike as ArrayLike
 
 Array = np.ndarray
 """An array of numbers: what functions return. Where numbers are taken, lists, tuples and data frames will do."""
+Dimensions = tuple[int | EllipsisType | None, ...]
+"""A shape: whole numbers, ``None`` for any size, ``...`` in front for any leading dimensions."""
 
 
 class InputError(ValueError):
@@ -57,7 +61,7 @@ def require(holds: object, name: str, owner: str, must_be: str, received: object
         raise bad_input(name, owner, must_be, received)
 
 
-def array(value: Any, name: str, owner: str) -> Array:
+def array(value: object, name: str, owner: str) -> Array:
     """Return ``value`` as an array of whatever it holds, or refuse it where its rows are not of one length."""
     try:
         return np.asarray(value)
@@ -67,7 +71,7 @@ def array(value: Any, name: str, owner: str) -> Array:
 
 
 def numbers(
-    value: Any, name: str, owner: str, shape: tuple[Any, ...] | None = None, *, finite: bool = True
+    value: object, name: str, owner: str, shape: Dimensions | None = None, *, finite: bool = True
 ) -> Array:
     """Return ``value`` as an array of float64, or refuse it.
 
@@ -78,7 +82,7 @@ def numbers(
     name, owner
         For the message.
     shape
-        What its shape must be: whole numbers, ``None`` for any size, ``...`` in front for any leading dimensions.
+        What its shape must be.
     finite
         Whether NaN and infinity are refused.
 
@@ -107,7 +111,7 @@ def numbers(
     return found
 
 
-def scalar(value: Any, name: str, owner: str, positive: str = "") -> float:
+def scalar(value: object, name: str, owner: str, positive: str = "") -> float:
     """Return one number, or refuse what is none, such as a text; with a word for it, also what is not positive."""
     require(not isinstance(value, str | bytes), name, owner, "a number", repr(value))
     found = float(numbers(value, name, owner, (), finite=False))
@@ -161,7 +165,7 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
         shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
 
 
-def is_table(value: Any) -> bool:
+def is_table(value: object) -> bool:
     """Whether it is the path of a table, or a data frame whose columns have names."""
     columns = getattr(value, "columns", None)
     return isinstance(value, str | os.PathLike) or (columns is not None and columns.dtype.kind == "O")

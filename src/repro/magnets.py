@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
+from scipy.spatial.transform import Rotation
 
 from repro.chain import Place, place
-from repro.common import Array, bad_input, numbers, require, scalar
+from repro.common import Array, ArrayLike, numbers, require, scalar
 from repro.parts import Assembly, check_tolerance
 
 
@@ -58,7 +58,7 @@ class Ring:
         """Radius of the sphere around the ring, beyond which its multipoles describe the field [m]."""
         return math.hypot(self.outer_diameter, self.height) / 2
 
-    def field(self, positions: Any) -> Array:
+    def field(self, positions: ArrayLike) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet, by magpylib.
 
         The ring is a full cylinder less its bore; magpylib solves both in closed form.
@@ -136,7 +136,7 @@ class Disc:
         """Radius of the sphere around the disc, beyond which its multipoles describe the field [m]."""
         return math.hypot(self.diameter, self.height) / 2
 
-    def field(self, positions: Any) -> Array:
+    def field(self, positions: ArrayLike) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet."""
         return _field("cylinder_field", (self.diameter, self.height), self.polarisation_mt, positions)
 
@@ -181,7 +181,7 @@ class Cube:
         """Radius of the sphere around the cube, beyond which its multipoles describe the field [m]."""
         return math.sqrt(3.0) / 2 * self.edge
 
-    def field(self, positions: Any) -> Array:
+    def field(self, positions: ArrayLike) -> Array:
         """Return the flux density [mT] at positions ``[..., 3]`` [m], both in the frame of the magnet."""
         return _field("cuboid_field", (self.edge,) * 3, self.polarisation_mt, positions)
 
@@ -213,7 +213,7 @@ def _solid(orders: range, r: Array, height: float) -> Array:
     return np.array([r**n * Legendre.basis(n)(height / r) for n in orders])
 
 
-def _field(name: str, dimensions: tuple[float, ...], polarisation_mt: float, positions: Any) -> Array:
+def _field(name: str, dimensions: tuple[float, ...], polarisation_mt: float, positions: ArrayLike) -> Array:
     import magpylib
 
     at = numbers(positions, "positions", "field", (..., 3))
@@ -228,6 +228,10 @@ def _field(name: str, dimensions: tuple[float, ...], polarisation_mt: float, pos
         squeeze=False,
     )
     return 1e3 * flux.reshape(at.shape)
+
+
+Shape = Ring | Disc | Cube
+"""What a magnet can be."""
 
 
 @dataclass(frozen=True)
@@ -263,15 +267,15 @@ class Magnet:
     array([1., 0., 0.])
     """
 
-    shape: Ring | Disc | Cube
+    shape: Shape
     segment: int
     at: float
-    direction: Any = None
-    position: Any = None
+    direction: ArrayLike | None = None
+    position: ArrayLike | None = None
     tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        known = isinstance(self.shape, Ring | Disc | Cube)
+        known = isinstance(self.shape, Shape)
         require(known, "shape", "Magnet", "a Ring, Disc or Cube", type(self.shape).__name__)
         check_tolerance(self.tolerance, "Magnet")
         _ = self.place
@@ -282,7 +286,7 @@ class Magnet:
         return place("Magnet", self.segment, self.at, self.position, None, self.direction)
 
 
-def simulated_readings(robot: Assembly, q: Any, earth_mt: Any = None) -> Array:
+def simulated_readings(robot: Assembly, q: ArrayLike, earth_mt: ArrayLike | None = None) -> Array:
     """Return what the sensors and IMUs of a robot read without noise, by magpylib's exact fields.
 
     Parameters
@@ -317,8 +321,7 @@ def simulated_readings(robot: Assembly, q: Any, earth_mt: Any = None) -> Array:
     array([-2.248, -2.248, -2.248])
     """
     q = robot.check_q(q, "simulated_readings")
-    if not robot.sensors and not robot.imus:
-        raise bad_input("robot", "simulated_readings", "one with sensors or IMUs", "neither")
+    require(robot.n_readings, "robot", "simulated_readings", "one with sensors or IMUs", "neither")
     parts = [*robot.magnets, *robot.sensors, *robot.imus]
     T = robot.poses(q, [part.place for part in parts])
     n_m, n_s = len(robot.magnets), len(robot.sensors)
@@ -333,12 +336,8 @@ def simulated_readings(robot: Assembly, q: Any, earth_mt: Any = None) -> Array:
             own = [k for k, magnet in enumerate(robot.magnets) if magnet.shape == shape]
             B += (R[..., own, :, :] @ shape.field(local[..., own, :])[..., None])[..., 0].sum(-2)
         read = (np.swapaxes(axes, -1, -2) @ B[..., None])[..., 0]
-        for j, sensor in enumerate(robot.sensors):
-            columns.append(read[..., j, :] if sensor.axes == 3 else read[..., j, 2:])
+        columns += [read[..., j, -sensor.axes :] for j, sensor in enumerate(robot.sensors)]
     if robot.imus:
-        from scipy.spatial.transform import Rotation
-
-        R = T[..., n_m + n_s :, :3, :3]
-        turns = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
+        turns = Rotation.from_matrix(T[..., n_m + n_s :, :3, :3].reshape(-1, 3, 3)).as_rotvec()
         columns.append(turns.reshape(*q.shape[:-1], -1))
     return np.concatenate(columns, axis=-1)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.common import Array, bad_input, kernel, numbers, require
+from repro.common import Array, ArrayLike, bad_input, kernel, numbers, require
 
 RELU, SILU = 0, 1
 _PAPER = "a network of the paper: batch norm, four blocks of linear layer and batch norm, linear layer"
@@ -45,7 +45,7 @@ class Network:
     array([7.])
     """
 
-    def __init__(self, layers: Sequence[tuple[Any, Any]], activation: str, inputs: str) -> None:
+    def __init__(self, layers: Sequence[tuple[ArrayLike, ArrayLike]], activation: str, inputs: str) -> None:
         owner = "Network"
         require(activation in ("relu", "silu"), "activation", owner, '"relu" or "silu"', repr(activation))
         require(inputs in ("angles", "cosines"), "inputs", owner, '"angles" or "cosines"', repr(inputs))
@@ -68,15 +68,20 @@ class Network:
         self.weights = np.concatenate(flat).astype(dtype)
 
     @property
+    def architecture(self) -> tuple[object, ...]:
+        """What networks that are evaluated together have in common."""
+        return self.widths, self.activation, self.inputs, self.weights.dtype
+
+    @property
     def n_inputs(self) -> int:
         """Number of relations, four for each magnet and one more."""
         return self.widths[0]
 
-    def __call__(self, xi: Any) -> Array:
+    def __call__(self, xi: ArrayLike) -> Array:
         """Return the reading predicted for relations ``[..., n_inputs]``."""
         return self.linearise(xi)[0]
 
-    def linearise(self, xi: Any) -> tuple[Array, Array]:
+    def linearise(self, xi: ArrayLike) -> tuple[Array, Array]:
         """Return readings ``[...]`` and their slopes by the relations ``[..., n_inputs]``."""
         rows = numbers(xi, "xi", "Network", (..., self.n_inputs))
         flat = np.ascontiguousarray(rows.reshape(-1, self.n_inputs))
@@ -281,11 +286,11 @@ class TorchModel:
     def __init__(self, module: Callable[[Any], Any]) -> None:
         self.module = module
 
-    def __call__(self, q: Any) -> Array:
+    def __call__(self, q: ArrayLike) -> Array:
         """Return readings ``[..., s]`` at coordinates ``[..., n]``."""
         return self.linearise(q)[0]
 
-    def linearise(self, q: Any) -> tuple[Array, Array]:
+    def linearise(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return readings ``[..., s]``, and their slopes by the coordinates ``[..., s, n]``."""
         import torch
 

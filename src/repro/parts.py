@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 
 from repro.chain import Chain, Place, Segment, place, unit_quaternions
-from repro.common import Array, bad_input, numbers, require, scalar
+from repro.common import Array, ArrayLike, numbers, require, scalar
 
 TOLERANCES = {
     "magnet": ("position", "at", "tilt", "polarisation", "size"),
@@ -22,7 +22,7 @@ TOLERANCES = {
 """What a part may be off its drawing by: lengths [m], angles [rad], offset [mT]; polarisation, gain are relative."""
 
 
-def check_tolerance(tolerance: Any, owner: str) -> None:
+def check_tolerance(tolerance: Mapping[str, float] | None, owner: str) -> None:
     """Refuse tolerances of a part that it does not have, or that are no standard deviations."""
     known = TOLERANCES[owner.lower()]
     for name, value in (tolerance or {}).items():
@@ -97,26 +97,26 @@ class Sensor:
     radial: float = 0.0
     azimuth: float = 0.0
     tilt: float = 0.0
-    position: Any = None
-    direction: Any = None
+    position: ArrayLike | None = None
+    direction: ArrayLike | None = None
     axes: int = 1
-    orientation: Any = None
+    orientation: ArrayLike | None = None
     name: str | None = None
-    channels: Any = None
+    channels: Sequence[str | int] | None = None
     range: float = math.inf
     resolution: float = 0.0
-    noise: Any = None
-    gain: Any = 1.0
-    offset: Any = 0.0
+    noise: ArrayLike | None = None
+    gain: ArrayLike = 1.0
+    offset: ArrayLike = 0.0
     per_mt: float = 1.0
     unit: str = "mT"
     tolerance: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
-        if self.channels is not None:
-            fits = type(self.channels) is not str and len(self.channels) == self.axes
-            require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", self.channels)
+        named = self.channels
+        fits = named is None or (type(named) is not str and len(named) == self.axes)
+        require(fits, "channels", "Sensor", f"a list of {self.axes}, one for every axis", named)
         for name in ("resolution", "range", "per_mt", "radial"):
             _ = scalar(vars(self)[name], name, "Sensor")
         require(
@@ -131,16 +131,18 @@ class Sensor:
             fits = value is None or numbers(value, name, "Sensor").shape in ((), (self.axes,))
             require(fits, name, "Sensor", f"one number or {self.axes}, one for every axis", value)
         require(np.all(self.gain), "gain", "Sensor", "not zero", self.gain)
-        if self.noise is not None:
-            require(np.greater(self.noise, 0).all(), "noise", "Sensor", "positive [mT]", self.noise)
+        positive = self.noise is None or np.greater(self.noise, 0).all()
+        require(positive, "noise", "Sensor", "positive [mT]", self.noise)
         require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)
         check_tolerance(self.tolerance, "Sensor")
         require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
-        if self.axes == 3:
-            one = self.direction is None and not self.tilt
-            require(one, "direction, tilt", "Sensor", "for one axis; orientation is for three", "both")
-        elif self.orientation is not None:
-            raise bad_input("orientation", "Sensor", "for three axes; direction is for one", self.orientation)
+        turned = self.direction is not None or bool(self.tilt)
+        expected = "for one axis; orientation is for three"
+        require(self.axes == 1 or not turned, "direction, tilt", "Sensor", expected, "both")
+        expected = "for three axes; direction is for one"
+        require(
+            self.axes == 3 or self.orientation is None, "orientation", "Sensor", expected, self.orientation
+        )
         _ = self.place
 
     @cached_property
@@ -195,11 +197,11 @@ class Imu:
 
     segment: int
     at: float
-    orientation: Any = None
+    orientation: ArrayLike | None = None
     name: str | None = None
     channels: Any = None
     noise: float | None = None
-    world: Any = None
+    world: ArrayLike | None = None
     tolerance: Mapping[str, float] | None = None
     axes: ClassVar[int] = 3
 
@@ -244,14 +246,14 @@ class Assembly(Chain):
         sensors: Sequence[Sensor] = (),
         imus: Sequence[Imu] = (),
         *,
-        lower: Any = None,
-        upper: Any = None,
-        start: Any = None,
-        noise: Any = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
         rate_hz: float | None = None,
-        earth: Any = None,
+        earth: ArrayLike | None = None,
         model: Any = None,
-        moments: Any = None,
+        moments: ArrayLike | None = None,
         source: Source | None = None,
     ) -> None:
         super().__init__(segments, lower, upper, start)
@@ -269,7 +271,7 @@ class Assembly(Chain):
         self.resolution = self.per_reading("resolution", 0.0, 0.0)
         """Step between two readings ``[s]`` [mT], zero where not stated."""
         # A reading at the end may be rounded, to its resolution or to float32; and no sensor reads 1e100.
-        self._n_magnetic = sum(sensor.axes for sensor in self.sensors)
+        self.n_magnetic = sum(sensor.axes for sensor in self.sensors)
         self._end = np.minimum((1 - 1e-6) * self.range - self.resolution / 2, 1e100)
         self.model, self.moments, self.source = model, moments, source
         self.rate_hz = None if rate_hz is None else scalar(rate_hz, "rate_hz", "Robot", "positive")
@@ -278,7 +280,7 @@ class Assembly(Chain):
         self.noise = self._noise(noise)
         """Standard deviation of every reading ``[s]`` [mT; rad for IMUs], or None where not stated."""
 
-    def _noise(self, noise: Any) -> Array | None:
+    def _noise(self, noise: ArrayLike | None) -> Array | None:
         given = numbers(np.nan if noise is None else noise, "noise", "Robot", finite=False)
         n = self.n_readings
         require(
@@ -327,7 +329,7 @@ class Assembly(Chain):
                 names += [name] if part.axes == 1 else [f"{name} {axis}" for axis in "xyz"]
         return tuple(names)
 
-    def missing(self, u: Any) -> Array:
+    def missing(self, u: ArrayLike) -> Array:
         """Return why readings are missing, each row by itself: one rule for files, boards and arrays.
 
         A reading at the end of its sensor's range, within half a step of it, says only that the field is larger.
@@ -357,7 +359,7 @@ class Assembly(Chain):
         [[0, 2, 1], [3, 3, 3]]
         """
         u = numbers(u, "u", "missing", (..., self.n_readings), finite=False)
-        size, n = np.abs(u), self._n_magnetic
+        size, n = np.abs(u), self.n_magnetic
         why = np.where(size >= self._end, 2, 0)
         why[~np.isfinite(size)] = 1
         zero = size[..., :n] == 0
@@ -365,7 +367,7 @@ class Assembly(Chain):
         why[..., :n][silent] = 3
         return why
 
-    def part(self, name: Any, owner: str) -> int:
+    def part(self, name: str | int, owner: str) -> int:
         """Return which of ``part_names`` a sensor or IMU is, from 0, by its name or by its number from 1."""
         names, word = list(self.part_names), str(name)
         k = names.index(word) if word in names else int(word) - 1 if word.isdecimal() else -1

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from repro.chain import point_on
-from repro.common import Array, require
+from repro.common import Array, ArrayLike, require
 from repro.parts import Assembly
 from repro.sensing import sensing_of
 
@@ -26,7 +26,7 @@ _BAND = 1.96
 
 
 def plot_robot(
-    robot: Assembly, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None
+    robot: Assembly, q: ArrayLike | None = None, *, axes: Any = None, labels: Sequence[str] | None = None
 ) -> Any:
     """Draw a robot in one shape or in several on each other: see :meth:`repro.Robot.plot`.
 
@@ -59,10 +59,8 @@ def plot_robot(
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 
-    if q is None:
-        middle = np.zeros(robot.n_q) if robot.lower is None else (robot.lower + robot.upper) / 2
-        q = middle if robot.start is None else robot.start
-    shapes = np.atleast_2d(robot.check_q(q, "plot"))
+    given = _usual_shape(robot) if q is None else robot.check_q(q, "plot")
+    shapes = np.atleast_2d(given)
     require(shapes.ndim == 2, "q", "plot", "of shape (n_q) or (k, n_q)", f"shape {shapes.shape}")
     names = [None] * len(shapes) if labels is None else list(labels)
     require(
@@ -84,6 +82,14 @@ def plot_robot(
             if ax.figure.bbox.containsx(box.x0) and ax.figure.bbox.contains(box.x1, box.y1):
                 break
     return ax
+
+
+def _usual_shape(robot: Assembly) -> Array:
+    if robot.start is not None:
+        return robot.start
+    if robot.lower is None or robot.upper is None:
+        return np.zeros(robot.n_q)
+    return (robot.lower + robot.upper) / 2
 
 
 def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:

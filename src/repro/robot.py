@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from repro.check import DesignCheck, check_design
+from repro.common import ArrayLike
 from repro.parts import Assembly
 from repro.plots import plot_robot
 from repro.sensing import Sensing, sensing_of
 from repro.tables import Readings, read_readings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Robot(Assembly):
@@ -77,7 +82,7 @@ class Robot(Assembly):
         """Return the sensor model with the gain and offset of every sensor and the Earth's field."""
         return sensing_of(self)
 
-    def readings(self, table: Any) -> Readings:
+    def readings(self, table: str | os.PathLike[str] | pd.DataFrame) -> Readings:
         """Return the readings of a table ``[t, s]``: flux densities in mT, rotation vectors of IMUs in rad.
 
         Columns are found by the names of channels, or by their numbers (``u1_mT``, ``ch2``, ``channel_3``), and their
@@ -123,7 +128,9 @@ class Robot(Assembly):
         """
         return check_design(self, samples=samples, seed=seed)
 
-    def plot(self, q: Any = None, *, axes: Any = None, labels: Sequence[str] | None = None) -> Any:
+    def plot(
+        self, q: ArrayLike | None = None, *, axes: Any = None, labels: Sequence[str] | None = None
+    ) -> Any:
         """Draw the robot in one shape or several on each other, and return the axes: :func:`repro.plots.plot_robot`.
 
         Parameters

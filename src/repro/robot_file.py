@@ -11,15 +11,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro.chain import AffineCurvature, BallJoint, ConstantCurvature, FreeBody, Link, point_on
-from repro.common import InputError, bad_input, require
+from repro.common import ArrayLike, InputError, bad_input, require
 from repro.estimators.calibration import load_calibration
 from repro.magnets import Cube, Disc, Magnet, Ring
-from repro.networks import load_network
+from repro.networks import Network, load_network
 from repro.parts import Imu, Sensor, Source
 from repro.robot import Robot
 
@@ -28,7 +29,11 @@ _PER_MT = {"mT": 1.0, "uT": 1e3, "nT": 1e6, "G": 10.0, "mG": 1e4}
 """Units of readings for 1 mT; for millivolts and counts the file says how many a millitesla is."""
 _MISTAKEN = {"mm": {"metres": 1e3}, "mT": {"tesla": 1e3, "gauss": 0.1}, "deg": {"radians": 180 / math.pi}}
 """Units that a number is often written in by mistake, and the factor from it."""
-_NEEDED: Any = object()
+_Row = dict[str, Any]
+"""A table of the file. What its values are is known once they are read by their keys."""
+_Where = tuple[str | int, ...]
+"""Name of a table, its number among those of one name, and a key."""
+_NEEDED = object()
 _FORMATS = ("csv", "frames", "hall", "millivolts", "quaternions")
 _PARTS = ("segments", "magnets", "sensors", "imus")
 
@@ -37,27 +42,33 @@ class _Key(NamedTuple):
     """What a key takes: words, a test, its value when left out, its factor to SI, what looks wrong, and its rival."""
 
     must_be: str
-    fits: Callable[[Any], bool]
-    default: Any = _NEEDED
+    fits: Callable[[object], bool]
+    default: object = _NEEDED
     unit: str = ""
     doubt: Callable[[Any], str] = lambda _: ""
     not_beside: str = ""
 
 
-def _is_number(x: object) -> bool:
+def _is_number(x: object) -> TypeGuard[float]:
     return isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= 1e300
 
 
-def _numbers(x: object, n: int) -> bool:
+def _numbers(x: object, n: int) -> TypeGuard[list[float]]:
     return isinstance(x, list) and len(x) == n and all(map(_is_number, x))
 
 
 def _number(
-    low: float, high: float, unit: str, default: Any = _NEEDED, *, signed: bool = False, n: int = 1
+    low: float,
+    high: float,
+    unit: str,
+    default: object = _NEEDED,
+    *,
+    signed: bool = False,
+    n: int = 1,
 ) -> _Key:
     """Describe a number (or one for each of ``n`` axes) whose magnitude is in a range, or the default."""
 
-    def fits(x: Any) -> bool:
+    def fits(x: object) -> bool:
         values = x if n > 1 and _numbers(x, n) else [x]
         return all(
             _is_number(v) and (v == default or low <= (abs(v) if signed else v) <= high) for v in values
@@ -89,10 +100,10 @@ def _noise(unit: str, n: int = 1) -> _Key:
     return _number(1e-9, 1e6, unit, None, n=n)._replace(doubt=doubt)
 
 
-def _bounds(high: float, least: float, unit: str, default: Any = None) -> _Key:
+def _bounds(high: float, least: float, unit: str, default: object = None) -> _Key:
     """Describe bounds, the smaller first, so far apart and within a magnitude; or one number, which is fixed."""
 
-    def fits(x: Any) -> bool:
+    def fits(x: object) -> bool:
         pair = _numbers(x, 2) and x[1] - x[0] >= least and max(map(abs, x)) <= high
         return pair or (_is_number(x) and abs(x) <= high)
 
@@ -113,29 +124,25 @@ def _vector(what: str, unit: str = "", n: int = 3, most: float = 1e9) -> _Key:
 
 
 def _quaternion(turn: str) -> _Key:
-    def doubt(x: Any) -> str:
-        return "looks as if w came first" if abs(x[0]) > 0.999 else ""
-
-    return _vector(f"a unit quaternion [x, y, z, w] {turn}", n=4)._replace(doubt=doubt)
-
-
-def _earth() -> _Key:
-    def doubt(x: Any) -> str:
-        size = math.hypot(*x)
-        return f"has a length of {size:.2g} mT, which is doubtful" if not 0.01 < size < 0.1 and size else ""
-
-    return _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=doubt)
+    return _vector(f"a unit quaternion [x, y, z, w] {turn}", n=4)._replace(
+        doubt=lambda x: "looks as if w came first" if abs(x[0]) > 0.999 else ""
+    )
 
 
-def _word(*words: str, default: Any = _NEEDED) -> _Key:
+def _doubt_of_earth(field: list[float]) -> str:
+    size = math.hypot(*field)
+    return f"has a length of {size:.2g} mT, which is doubtful" if size and not 0.01 < size < 0.1 else ""
+
+
+def _word(*words: str, default: object = _NEEDED) -> _Key:
     return _Key(f"one of {', '.join(map(repr, words))}", lambda x: x in words, default)
 
 
-def _are_tables(x: Any) -> bool:
+def _are_tables(x: object) -> bool:
     return isinstance(x, list) and all(isinstance(table, dict) for table in x)
 
 
-def _is_channel(x: Any) -> bool:
+def _is_channel(x: object) -> bool:
     return isinstance(x, str | int) and bool(x)
 
 
@@ -235,12 +242,12 @@ class _Document:
         self.name = name
         try:
             text = content.decode("utf-8-sig")
-            self.content: dict[str, Any] = tomllib.loads(text)
+            self.content: _Row = tomllib.loads(text)
         except (ValueError, RecursionError) as error:
             raise bad_input("file", name, "valid TOML in UTF-8", error) from error
-        self.lines: dict[tuple[Any, ...], int] = {}
+        self.lines: dict[_Where, int] = {}
         counts: dict[str, int] = {}
-        table: Any = ()
+        table: _Where = ()
         for number, line in enumerate(text.split("\n"), start=1):
             if header := _HEADER.match(line):
                 table = (header[2],)
@@ -251,28 +258,28 @@ class _Document:
             elif entry := _ENTRY.match(line):
                 self.lines.setdefault((*table, entry[1]), number)
 
-    def line(self, *place: Any) -> int:
+    def line(self, *place: str | int) -> int:
         """Return the line of a key; that of its table where the key has none."""
         while place and place not in self.lines and (*place, 0) not in self.lines:
             place = place[:-1]
         return self.lines.get(place, self.lines.get((*place, 0), 1))
 
-    def where(self, *place: Any) -> str:
+    def where(self, *place: str | int) -> str:
         """Return file, line and table of a key."""
         first, second = (*place, None, None)[:2]
         number = f", [[{first}]] {second + 1}" if isinstance(second, int) else ""
         table = number or (f", [{first}]" if second is not None else "")
         return f"{self.name}, line {self.line(*place)}{table}"
 
-    def error(self, place: tuple[Any, ...], must_be: str, received: Any) -> InputError:
+    def error(self, place: _Where, must_be: str, received: object) -> InputError:
         """Return the error about a key: file, line, table, what it must be, what it is."""
         return bad_input(str(place[-1]), f"{self.where(*place)},", must_be, received)
 
-    def tables(self, name: str) -> list[dict[str, Any]]:
+    def tables(self, name: str) -> list[_Row]:
         """Return the tables ``[[name]]``."""
         return self.content.get(name, [])
 
-    def read(self, keys: Mapping[str, _Key], *place: Any) -> dict[str, Any]:
+    def read(self, keys: Mapping[str, _Key], *place: str | int) -> _Row:
         """Return the values of a table in SI units, those left out at their defaults; warn where one looks wrong."""
         table: Any = self.content
         for part in place:
@@ -302,16 +309,16 @@ class _Document:
         return values
 
     def read_kind(
-        self, kinds: Mapping[str, Mapping[str, _Key]], others: Mapping[str, _Key], *place: Any
-    ) -> dict[str, Any]:
+        self, kinds: Mapping[str, Mapping[str, _Key]], others: Mapping[str, _Key], name: str, k: int
+    ) -> _Row:
         """Return the values of a table whose ``kind`` says which keys it has beside others."""
-        kind, key = self.tables(place[0])[place[1]].get("kind"), _word(*kinds)
+        kind, key = self.tables(name)[k].get("kind"), _word(*kinds)
         if str(kind) not in kinds:
-            raise self.error((*place, "kind"), _nearest(str(kind), kinds), repr(kind) if kind else "nothing")
-        return self.read({"kind": key, **others, **kinds[kind]}, *place)
+            raise self.error((name, k, "kind"), _nearest(str(kind), kinds), repr(kind) if kind else "nothing")
+        return self.read({"kind": key, **others, **kinds[str(kind)]}, name, k)
 
     @contextmanager
-    def at(self, *place: Any) -> Iterator[None]:
+    def at(self, *place: str | int) -> Iterator[None]:
         """Give the refusals of a part the place of its table."""
         try:
             yield
@@ -323,7 +330,7 @@ def _nearest(name: str, known: Iterable[str]) -> str:
     return next(iter(get_close_matches(name, known, 1)), f"one of {', '.join(known)}")
 
 
-def _mistaken(key: _Key, value: Any) -> str:
+def _mistaken(key: _Key, value: object) -> str:
     """Say in which unit a number would fit."""
     for unit, factor in _MISTAKEN.get(key.unit, {}).items():
         is_list = isinstance(value, list) and all(map(_is_number, value))
@@ -392,7 +399,7 @@ def load_robot(path: str | Path, calibration: str | Path | None = None) -> Robot
 def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
     top = document.read(
         {
-            "earth_mt": _earth(),
+            "earth_mt": _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=_doubt_of_earth),
             "base_orientation": _quaternion("from the frame of the base to the world of the IMUs"),
             "stream": _TABLE,
             "model": _TABLE,
@@ -470,7 +477,7 @@ def _segment(document: _Document, k: int) -> Robot:
     return Robot([segment], lower=lower, upper=upper, start=start)
 
 
-def _place(document: _Document, name: str, k: int, row: Mapping[str, Any], bare: Robot) -> dict[str, Any]:
+def _place(document: _Document, name: str, k: int, row: _Row, bare: Robot) -> _Row:
     """Return the segment, the place along it and the tolerance of a part; refuse a place that is not there."""
     with document.at(name, k, "at_mm"):
         bare.check_place(point_on(row["segment"], row["at_mm"]), "segment, at_mm")
@@ -534,8 +541,6 @@ def _sensor(
     if std is None and own:  # else that of the robot, which can be replaced
         std = noise
     if row["rotation_vector_rad"] is not None:
-        from scipy.spatial.transform import Rotation
-
         row["orientation"] = Rotation.from_rotvec(row["rotation_vector_rad"]).as_quat()
     where = _place(document, "sensors", k, row, bare)
     with document.at(*place):
@@ -551,7 +556,7 @@ def _sensor(
 
 def _check_channels(document: _Document, sensors: Sequence[Sensor]) -> None:
     """Refuse two readings on one channel, and two sensors of one name."""
-    first: dict[Any, int] = {}
+    first: dict[tuple[str, str | int], int] = {}
     for k, sensor in enumerate(sensors):
         for key, value in [("channel", x) for x in sensor.channels or ()] + [("name", sensor.name)]:
             if value is not None and first.setdefault((key, value), k) != k:
@@ -559,7 +564,7 @@ def _check_channels(document: _Document, sensors: Sequence[Sensor]) -> None:
                 raise document.error(("sensors", k, key), f"another than in {other}", value)
 
 
-def _imu(document: _Document, k: int, bare: Robot, world: Any, noise: float) -> Imu:
+def _imu(document: _Document, k: int, bare: Robot, world: ArrayLike | None, noise: float) -> Imu:
     keys = {
         **_PLACE,
         "name": _TEXT,
@@ -577,13 +582,13 @@ def _imu(document: _Document, k: int, bare: Robot, world: Any, noise: float) -> 
         )  # fmt: skip
 
 
-def _networks(document: _Document, folder: Path) -> list[Any]:
+def _networks(document: _Document, folder: Path) -> list[Network]:
     """Return the networks of ``[model]``: safetensors in the folder of the file, which hold numbers only."""
     words = (
         "a list of safetensors files (TorchScript is a program, which a file cannot start; load it in Python)"
     )
 
-    def fits(x: Any) -> bool:
+    def fits(x: object) -> bool:
         return isinstance(x, list) and all(re.fullmatch(r"[^\0]+\.safetensors", str(name)) for name in x)
 
     names = document.read({"networks": _Key(words, fits, [])}, "model")["networks"]

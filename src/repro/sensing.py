@@ -13,20 +13,31 @@ with the twists of the two frames. Segments before both move them together, with
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from repro.chain import Frames, frames, turn
-from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
+from repro.common import (
+    Array,
+    ArrayLike,
+    bad_input,
+    kernel,
+    numbers,
+    require,
+    rows_of,
+    say_that_kernels_compile,
+)
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.parts import Assembly
 
-_MULTIPOLES, _NETWORKS, _OTHER = range(3)
-_VALUES, _SLOPES, _RELATIONS, _CHAIN_RULE, _WRENCHES = range(5)
+_MULTIPOLES, _NETWORKS = range(2)
+_VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
+_WHOLE, _REAL = 10, 9
+"""Number of tables of whole and of real numbers that are packed."""
 
 
 class Tables(NamedTuple):
@@ -57,46 +68,54 @@ class Tables(NamedTuple):
 
 
 def pack(tables: Tables) -> tuple[Array, Array, Array]:
-    """Return whole numbers, numbers and weights as three flat arrays: numba takes few arguments much faster."""
+    """Return whole numbers, numbers and weights as three flat arrays: numba takes few arguments much faster.
+
+    The whole numbers begin with where every table begins and ends, first those of whole numbers.
+    """
     t, c = tables, tables.chain
-    whole = [c.kind, c.first, c.segment, c.tip, t.magnet_frame, t.row_frame, t.imu_frame, t.widths, t.network]
+    head = [t.moments.shape[1], t.model, t.angles, t.activation]
+    whole = [
+        head,
+        c.kind,
+        c.first,
+        c.segment,
+        c.tip,
+        t.magnet_frame,
+        t.row_frame,
+        t.imu_frame,
+        t.widths,
+        t.network,
+    ]
     real = [c.size, c.v, t.magnet_place, t.row_place, t.imu_rotation, t.moments, t.gain, t.offset, t.earth]
-    sizes = [len(c.kind), len(c.v), len(t.magnet_frame), len(t.row_frame), len(t.imu_frame)]
-    head = [*sizes, t.moments.shape[1], len(t.widths), t.model, int(t.angles), t.activation]
-    ints = np.concatenate([head, *whole]).astype(np.int64)
+    ends = [np.cumsum([0, *map(np.size, parts)]) for parts in (whole, real)]
+    ends[0] += _WHOLE + _REAL + 2
+    ints = np.concatenate([*ends, *whole]).astype(np.int64)
     return ints, np.concatenate([np.ravel(x) for x in real]).astype(np.float64), t.weights
 
 
 @kernel(allocates=True)
+def _whole(ints, k):
+    return ints[ints[k] : ints[k + 1]]
+
+
+@kernel(allocates=True)
+def _real(ints, floats, k):
+    return floats[ints[_WHOLE + 1 + k] : ints[_WHOLE + 2 + k]]
+
+
+@kernel(allocates=True)
 def unpack(ints, floats, weights):
-    """Return the tables as views of the three arrays."""
-    g, f, m, s, i, terms, w = ints[0], ints[1], ints[2], ints[3], ints[4], ints[5], ints[6]
-    a = 10
-    kind, first, segment = (
-        ints[a : a + g],
-        ints[a + g : a + 2 * g + 1],
-        ints[a + 2 * g + 1 : a + 2 * g + 1 + f],
-    )
-    a += 2 * g + 1 + f
-    tip, magnet_frame = ints[a : a + g], ints[a + g : a + g + m]
-    a += g + m
-    row_frame, imu_frame, widths = ints[a : a + s], ints[a + s : a + s + i], ints[a + s + i : a + s + i + w]
-    network = ints[a + s + i + w :]
-    size, v = floats[: 2 * g].reshape(g, 2), floats[2 * g : 2 * g + f]
-    a = 2 * g + f
-    magnet_place, row_place = (
-        floats[a : a + 6 * m].reshape(m, 6),
-        floats[a + 6 * m : a + 6 * (m + s)].reshape(s, 6),
-    )
-    a += 6 * (m + s)
-    imu_rotation = floats[a : a + 9 * i].reshape(i, 3, 3)
-    a += 9 * i
-    moments = floats[a : a + m * terms].reshape(m, terms)
-    a += m * terms
-    gain, offset, earth = floats[a : a + s], floats[a + s : a + 2 * s], floats[a + 2 * s :]
+    """Return the tables as views of the three arrays, by their numbers in the lists of ``pack``."""
+    terms, model, angles, activation = _whole(ints, 0)
+    chain = Frames(
+        _whole(ints, 1), _real(ints, floats, 0).reshape(-1, 2), _whole(ints, 2), _whole(ints, 3),
+        _real(ints, floats, 1), _whole(ints, 4),
+    )  # fmt: skip
     return Tables(
-        Frames(kind, size, first, segment, v, tip), magnet_frame, magnet_place, row_frame, row_place, imu_frame,
-        imu_rotation, moments, gain, offset, earth, ints[7], ints[8] == 1, ints[9], widths, network, weights,
+        chain, _whole(ints, 5), _real(ints, floats, 2).reshape(-1, 6), _whole(ints, 6),
+        _real(ints, floats, 3).reshape(-1, 6), _whole(ints, 7), _real(ints, floats, 4).reshape(-1, 3, 3),
+        _real(ints, floats, 5).reshape(-1, terms), _real(ints, floats, 6), _real(ints, floats, 7),
+        _real(ints, floats, 8), model, angles == 1, activation, _whole(ints, 8), _whole(ints, 9), weights,
     )  # fmt: skip
 
 
@@ -368,7 +387,7 @@ def difference(n_s, u, u_hat, r, A, B, W):
 def _batch(ints, floats, weights, q, task, u, J, extra):
     """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
 
-    ``extra`` takes the relations or the wrenches, or holds slopes by the relations.
+    ``extra`` takes the relations or the wrenches.
     """
     t = unpack(ints, floats, weights)
     room = room_for(t)
@@ -376,25 +395,15 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
         if task <= _SLOPES:
             evaluate(t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
             continue
-        geometry(t, q[n], task == _CHAIN_RULE, room)
+        geometry(t, q[n], False, room)
         for j in range(len(t.row_frame)):
             relate(t, j, room)
             if task == _RELATIONS:
-                for i in range(len(room.xi)):
-                    extra[n, j, i] = room.xi[i]
-            elif task == _WRENCHES:
+                extra[n, j, :] = room.xi
+            else:
                 u[n, j] = _multipoles(t, room.xi, room.gradient)
                 wrenches(t, room)
-                for k in range(len(room.wrenches)):
-                    for i in range(6):
-                        extra[n, j, 6 * k + i] = room.wrenches[k, i]
-            else:
-                for i in range(len(room.gradient)):
-                    room.gradient[i] = extra[n, j, i]
-                wrenches(t, room)
-                pull_back(t, j, t.gain[j], room, J[n])
-        if task == _CHAIN_RULE:
-            _orientations(t, True, u[n], J[n], room)
+                extra[n, j, :] = room.wrenches.ravel()
 
 
 @kernel(entry=True, allocates=True)
@@ -405,10 +414,15 @@ def batch_difference(n_s, u, u_hat, r):
         difference(n_s, u[n], u_hat[n], r[n], A, B, W)
 
 
-_UNUSED = (np.empty((0, 0)), np.empty((1, 0, 0)))
-_NO_WEIGHTS = np.zeros((0, 0), dtype=np.float32)
-"""Of the type of the paper's networks, so that one compilation serves them and multipoles."""
-_FieldModel = Network | Sequence[Network] | Callable[[Array], Any] | None
+_NO_ROWS, _NO_SLOPES = np.empty((0, 0)), np.empty((1, 0, 0))
+
+
+def _zero_network(width: int, inputs: str) -> Network:
+    """Predict nothing; of the type of the paper's networks, so that one compilation serves them and multipoles."""
+    return Network([(np.zeros((1, width), np.float32), np.zeros(1, np.float32))], "relu", inputs)
+
+
+_NO_NETWORK = _zero_network(1, "cosines")
 
 
 @runtime_checkable
@@ -433,10 +447,6 @@ class Sensing:
     model
         How relations become magnetic readings. ``None``: the multipoles of the robot's magnets [mT]. A
         :class:`.Network`, or several: as many as there are readings, or as there are segments with sensors.
-        Or any callable from relations ``[..., s, 1 + 4 m]`` to readings ``[..., s]``; if it has a method
-        ``linearise`` that returns readings and slopes ``[..., s, 1 + 4 m]`` this is used, else central differences.
-    inputs
-        ``"cosines"`` or ``"angles"``: which relations a callable takes. Networks know it.
     moments
         Moments of the magnets [mT m^(l+2)], ``[terms]`` or ``[m, terms]``; those of their shapes if not given.
     l_max
@@ -465,227 +475,177 @@ class Sensing:
     array([-1.20210368])
     """
 
+    compiled = True
+    """Whether the kernels of estimators know the model."""
+
     def __init__(
         self,
         robot: Assembly,
-        model: _FieldModel = None,
+        model: Network | Sequence[Network] | None = None,
         *,
-        inputs: str = "cosines",
-        moments: Any = None,
+        moments: ArrayLike | None = None,
         l_max: int = 9,
-        gain: Any = 1.0,
-        offset: Any = 0.0,
-        earth: Any = None,
+        gain: ArrayLike = 1.0,
+        offset: ArrayLike = 0.0,
+        earth: ArrayLike | None = None,
     ) -> None:
         owner = "Sensing"
         self.robot, self.model = robot, model
-        magnetic = [sensor for sensor in robot.sensors for _ in range(sensor.axes)]
-        if not magnetic and not robot.imus:
-            raise bad_input("robot", owner, "one with sensors or IMUs", "neither")
-        require(
-            not magnetic or robot.magnets or earth is not None, "robot", owner, "one with magnets", "none"
-        )
-        self.n_magnetic, n_m = len(magnetic), len(robot.magnets)
+        self.n_q, self.n_readings, self.rotations = robot.n_q, robot.n_readings, robot.rotations
+        self.n_magnetic, n_m = robot.n_magnetic, len(robot.magnets)
+        require(self.n_readings, "robot", owner, "one with sensors or IMUs", "neither")
+        complete = not robot.sensors or robot.magnets or earth is not None
+        require(complete, "robot", owner, "one with magnets", "none")
         self.moments = self._moments(moments, l_max)
-        networks: Any = [model] if isinstance(model, Network) else model
-        kind = _MULTIPOLES if model is None else _OTHER
-        if isinstance(networks, Sequence):
-            kind, inputs = _NETWORKS, self._check_networks(networks)
-        require(
-            kind != _OTHER or callable(model), "model", owner, "a callable or networks", type(model).__name__
-        )
-        require(inputs in ("angles", "cosines"), "inputs", owner, '"angles" or "cosines"', repr(inputs))
-        default = [0.0, 0.0, 0.0] if kind == _MULTIPOLES else [1.0, 0.0, 0.0]
+        networks = [_NO_NETWORK] if model is None else self._networks(model)
+        default = [0.0, 0.0, 0.0] if model is None else [1.0, 0.0, 0.0]
         along = numbers(default if earth is None else earth, "earth", owner, (3,))
-        if kind != _MULTIPOLES:
+        if model is not None:
             require(np.any(along), "earth", owner, "a direction", earth)
             along = along / np.linalg.norm(along)
         places = [part.place for part in (*robot.magnets, *robot.sensors, *robot.imus)]
         chain, frame = robot.frames(places)
-        rows = [
-            (frame[n_m + j], np.concatenate([sensor.place.position, sensor.place.rotation[:, axis]]))
-            for j, sensor in enumerate(robot.sensors)
-            for axis in (range(3) if sensor.axes == 3 else [2])
+        of_sensors = [
+            [*sensor.place.position, *axis]
+            for sensor in robot.sensors
+            for axis in sensor.place.rotation.T[-sensor.axes :]
         ]
-        with_networks = kind == _NETWORKS and isinstance(networks, Sequence)
         self.tables = Tables(
             chain=chain,
             magnet_frame=frame[:n_m],
             magnet_place=np.array([[*p.position, *p.rotation[:, 2]] for p in places[:n_m]]).reshape(n_m, 6),
-            row_frame=np.array([f for f, _ in rows], dtype=np.int64),
-            row_place=np.array([x for _, x in rows]).reshape(-1, 6),
+            row_frame=frame[n_m + robot.parts[: self.n_magnetic]],
+            row_place=np.array(of_sensors).reshape(-1, 6),
             imu_frame=frame[n_m + len(robot.sensors) :],
             imu_rotation=np.array([imu.place.rotation for imu in robot.imus]).reshape(-1, 3, 3),
             moments=self.moments,
             gain=self._per_reading(gain, "gain"),
             offset=self._per_reading(offset, "offset"),
             earth=along,
-            model=kind,
-            angles=inputs == "angles",
-            activation=SILU if with_networks and networks[0].activation == "silu" else RELU,
-            widths=np.array(networks[0].widths if with_networks else [], dtype=np.int64),
-            network=self._network_of_reading(len(networks))
-            if with_networks
-            else np.zeros(len(rows), dtype=np.int64),
-            weights=np.stack([net.weights for net in networks]) if with_networks else _NO_WEIGHTS,
+            model=_MULTIPOLES if model is None else _NETWORKS,
+            angles=networks[0].inputs == "angles",
+            activation=RELU if networks[0].activation == "relu" else SILU,
+            widths=np.array(networks[0].widths),
+            network=self._network_of_reading(len(networks)),
+            weights=np.stack([network.weights for network in networks]),
         )
         self.packed = pack(self.tables)
-        self.compiled = kind != _OTHER
-        """Whether the kernels of estimators know the model; else they call :meth:`linearise`."""
-        self.n_q, self.n_readings = robot.n_q, len(rows) + 3 * len(robot.imus)
-        self.rotations = robot.rotations
         say_that_kernels_compile()
 
-    def _moments(self, moments: Any, l_max: int) -> Array:
+    def _moments(self, moments: ArrayLike | None, l_max: int) -> Array:
         n_m = len(self.robot.magnets)
-        if moments is None and self.model is not None:
-            return np.zeros((n_m, 1))
         if moments is None:
             rows = [magnet.shape.multipoles(l_max) for magnet in self.robot.magnets]
             return np.array(rows) if rows else np.zeros((0, 1))
         values = numbers(moments, "moments", "Sensing", (None,) if np.ndim(moments) == 1 else (n_m, None))
         require(values.shape[-1], "moments", "Sensing", "at least one", "none")
-        return np.ascontiguousarray(np.broadcast_to(values, (n_m, values.shape[-1])))
+        return np.broadcast_to(values, (n_m, values.shape[-1]))
 
-    def _per_reading(self, value: Any, name: str) -> Array:
+    def _per_reading(self, value: ArrayLike, name: str) -> Array:
         found = numbers(value, name, "Sensing")
         fits = found.shape in ((), (self.n_magnetic,))
         expected = f"one number or one for each of {self.n_magnetic} magnetic readings"
         require(fits, name, "Sensing", expected, f"shape {found.shape}")
-        return np.full(self.n_magnetic, found) if found.ndim == 0 else found
+        return np.broadcast_to(found, (self.n_magnetic,))
 
-    def _check_networks(self, networks: Sequence[Any]) -> str:
-        first: Any = networks[0] if networks else None
+    def _networks(self, model: Network | Sequence[Network]) -> Sequence[Network]:
+        """Networks that fit the robot and each other."""
+        networks = model if isinstance(model, Sequence) else [model]
         width = 1 + 4 * len(self.robot.magnets)
         for network in networks or [None]:
-            require(isinstance(network, Network), "model", "Sensing", "networks", type(network).__name__)
+            if not isinstance(network, Network):
+                raise bad_input("model", "Sensing", "networks", type(network).__name__)
             expected = f"one of {width} relations, as the robot has"
             require(network.n_inputs == width, "model", "Sensing", expected, f"{network.n_inputs}")
-            alike = (network.widths, network.activation, network.inputs, network.weights.dtype) == (
-                first.widths, first.activation, first.inputs, first.weights.dtype
-            )  # fmt: skip
+            alike = network.architecture == networks[0].architecture
             require(alike, "model", "Sensing", "networks of one architecture", "several")
-        return first.inputs
+        return networks
 
     def _network_of_reading(self, n: int) -> Array:
         """One network for all, one for each reading, or one for each segment with sensors."""
         segments = [sensor.segment for sensor in self.robot.sensors for _ in range(sensor.axes)]
-        used = sorted(set(segments))
         if n == 1:
             return np.zeros(len(segments), dtype=np.int64)
         if n == len(segments):
             return np.arange(n)
+        used, of_reading = np.unique(segments, return_inverse=True)
         expected = (
             f"one network, one for each of {len(segments)} readings or of {len(used)} segments with sensors"
         )
         require(n == len(used), "model", "Sensing", expected, f"{n} networks")
-        return np.array([used.index(segment) for segment in segments])
+        return of_reading
 
-    def relations(self, q: Any) -> Array:
+    def relations(self, q: ArrayLike) -> Array:
         """Return the relations ``[..., s, 1 + 4 m]`` of eq. (1) that the model takes [rad or cosines; m]."""
         q = self.robot.check_q(q, "Sensing")
-        flat = rows_of(q)
-        xi = np.empty((len(flat), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
-        _batch(*self.packed, flat, _RELATIONS, *_UNUSED, xi)
+        xi = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
+        _batch(*self.packed, rows_of(q), _RELATIONS, _NO_ROWS, _NO_SLOPES, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
 
-    def too_near(self, q: Any) -> Array:
+    def too_near(self, q: ArrayLike) -> Array:
         """Return which readings ``[..., s]`` are taken so close to a magnet that multipoles do not give its field."""
         q = self.robot.check_q(q, "Sensing")
         near = np.zeros((*q.shape[:-1], self.n_readings), dtype=bool)
-        if self.tables.model == _MULTIPOLES and self.robot.magnets:
+        if self.model is None and self.robot.magnets:
             reach = [magnet.shape.reach for magnet in self.robot.magnets]
             near[..., : self.n_magnetic] = (self.relations(q)[..., 1::4] < reach).any(-1)
         return near
 
-    def __call__(self, q: Any) -> Array:
+    def __call__(self, q: ArrayLike) -> Array:
         """Return the predicted readings ``[..., s]`` at configurations ``[..., n_q]``."""
         q = self.robot.check_q(q, "Sensing")
-        flat = rows_of(q)
-        u = np.empty((len(flat), self.n_readings))
-        if self.compiled:
-            _batch(*self.packed, flat, _VALUES, u, *_UNUSED[1:], _UNUSED[1])
-        else:
-            if self.robot.imus:
-                return self.linearise(q)[0]
-            u[:] = self.tables.gain * self._modelled(self.relations(flat)) + self.tables.offset
-        return u.reshape(*q.shape[:-1], -1)
+        u = np.empty((*q.shape[:-1], self.n_readings))
+        _batch(*self.packed, rows_of(q), _VALUES, rows_of(u), _NO_SLOPES, _NO_SLOPES)
+        return u
 
-    def linearise(self, q: Any) -> tuple[Array, Array]:
+    def linearise(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return readings ``[..., s]`` and their slopes ``[..., s, n_q]``.
 
         The slopes of an IMU are by how much it turns about the axes of the base [rad per unit of the coordinate].
         """
         q = self.robot.check_q(q, "Sensing")
-        flat = rows_of(q)
-        u, J = np.empty((len(flat), self.n_readings)), np.empty((len(flat), self.n_readings, self.n_q))
-        if self.compiled:
-            _batch(*self.packed, flat, _SLOPES, u, J, _UNUSED[1])
-        else:
-            modelled, gradient = self._model_slopes(self.relations(flat))
-            _batch(*self.packed, flat, _CHAIN_RULE, u, J, gradient)
-            u[:, : self.n_magnetic] = self.tables.gain * modelled + self.tables.offset
-        batch = q.shape[:-1]
-        return u.reshape(*batch, -1), J.reshape(*batch, *J.shape[1:])
+        u = np.empty((*q.shape[:-1], self.n_readings))
+        J = np.empty((math.prod(q.shape[:-1]), self.n_readings, self.n_q))
+        _batch(*self.packed, rows_of(q), _SLOPES, rows_of(u), J, _NO_SLOPES)
+        return u, J.reshape(*u.shape, self.n_q)
 
-    def difference(self, u: Any, u_hat: Any) -> Array:
+    def difference(self, u: ArrayLike, u_hat: ArrayLike) -> Array:
         """Return what was read beyond what was predicted ``[..., s]``, NaN where nothing was read.
 
         Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation.
         """
         u, u_hat = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(u_hat, dtype=float))
-        flat, hat = (np.ascontiguousarray(x.reshape(-1, self.n_readings)) for x in (u, u_hat))
-        r = np.empty_like(flat)
-        batch_difference(self.n_magnetic, flat, hat, r)
-        return r.reshape(u.shape)
+        r = np.empty(u.shape)
+        batch_difference(self.n_magnetic, rows_of(u), rows_of(u_hat), rows_of(r))
+        return r
 
-    def wrenches(self, q: Any) -> tuple[Array, Array]:
+    def wrenches(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return the multipole readings without gain and offset, and the wrench of every magnet on every reading.
 
         The wrench ``[..., s, m + 1, 6]`` is a force, then a torque about the origin of the base frame: a reading
         changes by ``wrench @ (motion, turn)`` when its sensor moves by that twist, and by the negative when the
         magnet does. The last one is that of the Earth's field.
         """
-        require(
-            self.tables.model == _MULTIPOLES, "model", "wrenches", "multipoles", type(self.model).__name__
-        )
+        require(self.model is None, "model", "wrenches", "multipoles", type(self.model).__name__)
         q = self.robot.check_q(q, "Sensing")
-        flat = rows_of(q)
-        u = np.empty((len(flat), self.n_magnetic))
-        wrench = np.empty((*u.shape, 6 * (len(self.robot.magnets) + 1)))
-        _batch(*self.packed, flat, _WRENCHES, u, _UNUSED[1], wrench)
-        batch = (*q.shape[:-1], self.n_magnetic)
-        return u.reshape(batch), wrench.reshape(*batch, -1, 6)
-
-    def _modelled(self, xi: Array) -> Array:
-        assert callable(self.model)
-        u = np.asarray(self.model(xi), dtype=float)
-        expected = f"a callable that maps relations {xi.shape} to readings {xi.shape[:-1]}"
-        require(u.shape == xi.shape[:-1], "model", "Sensing", expected, f"one that returns shape {u.shape}")
-        return u
-
-    def _model_slopes(self, xi: Array) -> tuple[Array, Array]:
-        """Readings and slopes by the relations: the model's own, else by central differences."""
-        model: Any = self.model
-        if isinstance(model, Linearised):
-            u, slopes = model.linearise(xi)
-            return np.asarray(u, dtype=float), np.ascontiguousarray(slopes, dtype=float)
-        slopes = np.empty_like(xi)
-        for c in range(xi.shape[-1]):
-            step = np.zeros(xi.shape[-1])
-            step[c] = 6e-6 * max(1e-2, float(np.abs(xi[..., c]).max(initial=0.0)))
-            slopes[..., c] = (self._modelled(xi + step) - self._modelled(xi - step)) / (2 * step[c])
-        return self._modelled(xi), slopes
+        u = np.empty((*q.shape[:-1], self.n_magnetic))
+        wrench = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 6 * (len(self.robot.magnets) + 1)))
+        _batch(*self.packed, rows_of(q), _WRENCHES, rows_of(u), _NO_SLOPES, wrench)
+        return u, wrench.reshape(*u.shape, -1, 6)
 
 
 def sensing_of(robot: Assembly) -> Sensing:
     """Return the sensor model of a robot, with the gain and offset of every sensor and the Earth's field."""
-    n = sum(sensor.axes for sensor in robot.sensors)
-    gain, offset = (robot.per_reading(*x)[:n] for x in (("gain", 1.0, 1.0), ("offset", 0.0, 0.0)))
+    gain, offset = (
+        robot.per_reading(name, none, none)[: robot.n_magnetic]
+        for name, none in (("gain", 1.0), ("offset", 0.0))
+    )
     return Sensing(robot, robot.model, moments=robot.moments, gain=gain, offset=offset, earth=robot.earth)
 
 
-def relations(robot: Assembly, q: Any, *, inputs: str = "cosines", earth: Any = None) -> Array:
+def relations(
+    robot: Assembly, q: ArrayLike, *, inputs: str = "cosines", earth: ArrayLike | None = None
+) -> Array:
     r"""Return the relations between all sensors and magnets of a robot, eqs (3) to (7) of Baaij et al. 2023.
 
     Parameters
@@ -713,7 +673,7 @@ def relations(robot: Assembly, q: Any, *, inputs: str = "cosines", earth: Any = 
     >>> relations(robot, [0.0, 0.0, 0.0]).round(3) + 0.0
     array([[ 0.   ,  0.055, -1.   , -1.   ,  1.   ]])
     """
-    return Sensing(robot, lambda xi: xi[..., 1], inputs=inputs, earth=earth).relations(q)
+    return Sensing(robot, _zero_network(1 + 4 * len(robot.magnets), inputs), earth=earth).relations(q)
 
 
 _CUBE = Cube(6.35e-3, 1320.0)
@@ -762,7 +722,7 @@ class BendSensor:
         fits = 1.25 * self.cube.edge < self.length < math.inf
         require(fits, "length", "BendSensor", "longer than 1.25 edges of the cube [m]", self.length)
 
-    def __call__(self, q: Any) -> Array:
+    def __call__(self, q: ArrayLike) -> Array:
         """Return the flux density ``[..., 3]`` [mT] in the frame of the sensor, z along the straight arc.
 
         ``q`` are bend vectors ``[..., 2]`` [rad] of less than half a turn; NaN gives NaN.
@@ -774,7 +734,7 @@ class BendSensor:
         _bend_field(flat, self.length / half_edge, scale, out.reshape(-1))
         return out
 
-    def position(self, q: Any) -> Array:
+    def position(self, q: ArrayLike) -> Array:
         """Return the position of the magnet ``[..., 3]`` [m] in the frame of the sensor."""
         q = numbers(q, "q", "BendSensor", (..., 2), finite=False)
         angle = np.hypot(q[..., :1], q[..., 1:])

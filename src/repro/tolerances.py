@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro.chain import Place, point_on
 from repro.common import Array, require
-from repro.parts import Assembly
+from repro.magnets import Magnet, Shape
+from repro.parts import Assembly, Sensor
 from repro.sensing import Sensing, sensing_of
 
 Described = TypeVar("Described", bound=Assembly)
@@ -20,7 +22,6 @@ Described = TypeVar("Described", bound=Assembly)
 _STEP = 1e-6
 """Of central differences, in every unit."""
 _MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
-_SENSOR = ("azimuth", "radius", "tilt")
 
 
 @dataclass(frozen=True)
@@ -93,46 +94,48 @@ def placed(robot: Described, parameters: Mapping[str, float]) -> Described:
     InputError
         If no robot is like that.
     """
-    own, magnets, sensors = parameters.get, [], []
     shapes, rows = _strengths(robot, parameters)
-    for k, part in enumerate(robot.magnets):
-        name = f"magnet {k + 1} "
-        p = np.array([own(name + x, 0.0) for x in _MAGNET])
-        R = part.place.rotation
-        tilted = R @ _about(0, p[3]) @ _about(1, p[4])
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        position = part.place.position + R @ p[:3] + [0.0, 0.0, beyond]
-        magnets.append(replace(part, shape=shapes[k], at=at, position=position, direction=tilted[:, 2]))
-    for j, part in enumerate(robot.sensors):
-        name = f"sensor {j + 1} "
-        azimuth, radius, tilt = (own(name + x, 0.0) for x in _SENSOR)
-        at, beyond = _along(robot, part.place, own(name + "along", 0.0))
-        shift = [own(name + x, 0.0) for x in "xyz"]
-        position = _about(2, azimuth) @ (part.place.position * [1 + radius, 1 + radius, 1.0] + shift)
-        R = _about(2, azimuth) @ part.place.rotation @ _about(1, -tilt)
-        R = R @ _about(0, own(name + "tilt about x", 0.0)) @ _about(2, own(name + "tilt about z", 0.0))
-        turned: dict[str, Any] = {"direction": R[:, 2]}
-        if part.axes == 3:
-            turned = {"orientation": Rotation.from_matrix(R).as_quat()}
-        gain = part.gain * np.array([1 + own(name + x, 0.0) for x in _per_axis("gain", part.axes)])
-        offset = part.offset + np.array([own(name + x, 0.0) for x in _per_axis("offset", part.axes)])
-        moved = {"at": at, "position": position + np.array([0.0, 0.0, beyond]), **turned}
-        moved |= {
-            "radial": 0.0,
-            "azimuth": 0.0,
-            "tilt": 0.0,
-            "gain": tuple(gain.tolist()),
-            "offset": tuple(offset.tolist()),
-        }
-        sensors.append(replace(part, **moved))
-    relative = np.vectorize(own)(_moment_names(robot, rows.shape[1]), 0.0)
-    earth = np.array([own(f"Earth field along {x}", 0.0) for x in "xyz"])
+    magnets = [_magnet_off(robot, k, shapes[k], parameters) for k in range(len(robot.magnets))]
+    sensors = [_sensor_off(robot, k, parameters) for k in range(len(robot.sensors))]
+    relative = np.vectorize(parameters.get)(_moment_names(robot, rows.shape[1]), 0.0)
+    earth = np.array([parameters.get(f"Earth field along {x}", 0.0) for x in "xyz"])
     if earth.any():
         robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
     return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
 
 
-def _sizes(shape: Any) -> dict[str, float]:
+def _magnet_off(robot: Assembly, k: int, shape: Shape, parameters: Mapping[str, float]) -> Magnet:
+    part, own = robot.magnets[k], _own(parameters, f"magnet {k + 1} ")
+    R = part.place.rotation
+    tilted = R @ Rotation.from_euler("XY", [own["tilt about x"], own["tilt about y"]]).as_matrix()
+    at, beyond = _along(robot, part.place, own["along"])
+    position = part.place.position + R @ [own[x] for x in "xyz"] + [0.0, 0.0, beyond]
+    return replace(part, shape=shape, at=at, position=position, direction=tilted[:, 2])
+
+
+def _sensor_off(robot: Assembly, k: int, parameters: Mapping[str, float]) -> Sensor:
+    part, own = robot.sensors[k], _own(parameters, f"sensor {k + 1} ")
+    around, outwards = Rotation.from_euler("z", own["azimuth"]), 1 + own["radius"]
+    at, beyond = _along(robot, part.place, own["along"])
+    position = part.place.position * [outwards, outwards, 1.0] + [own[x] for x in "xyz"]
+    tilt = Rotation.from_euler("YXZ", [-own["tilt"], own["tilt about x"], own["tilt about z"]])
+    R = around * Rotation.from_matrix(part.place.rotation) * tilt
+    turned = {"direction": R.as_matrix()[:, 2]} if part.axes == 1 else {"orientation": R.as_quat()}
+    gain = np.multiply(part.gain, [1 + own[x] for x in _per_axis("gain", part.axes)])
+    offset = np.add(part.offset, [own[x] for x in _per_axis("offset", part.axes)])
+    return replace(
+        part, at=at, position=around.apply(position) + np.array([0.0, 0.0, beyond]), **turned,
+        radial=0.0, azimuth=0.0, tilt=0.0, gain=tuple(gain.tolist()), offset=tuple(offset.tolist()),
+    )  # fmt: skip
+
+
+def _own(parameters: Mapping[str, float], owner: str) -> defaultdict[str, float]:
+    """Return the parameters of a part by their names behind its own, zero if not given."""
+    found = {x.removeprefix(owner): value for x, value in parameters.items() if x.startswith(owner)}
+    return defaultdict(float, found)
+
+
+def _sizes(shape: Shape) -> dict[str, float]:
     """Dimensions of a magnet that are there."""
     return {name: size for name, size in vars(shape).items() if name != "polarisation_mt" and size > 0}
 
@@ -148,7 +151,7 @@ def _moment_names(robot: Assembly, terms: int) -> Array:
     return np.array([[f"{owner}moment A{2 * k + 1}" for k in range(terms)] for owner in owners])
 
 
-def _strengths(robot: Assembly, parameters: Mapping[str, float]) -> tuple[list[Any], Array]:
+def _strengths(robot: Assembly, parameters: Mapping[str, float]) -> tuple[list[Shape], Array]:
     """Shapes of the magnets, and their moments without the relative changes of moments."""
     rows, shapes = np.array(sensing_of(robot).moments if robot.moments is None else robot.moments), []
     for k, magnet in enumerate(robot.magnets):
@@ -193,19 +196,16 @@ def priors_of(robot: Assembly, t: Tolerances) -> dict[str, float]:
     return {name: std for name, std in priors.items() if std}
 
 
-def _about(axis: int, angle: float) -> Array:
-    c, s, R = math.cos(angle), math.sin(angle), np.eye(3)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    R[j, j], R[j, k], R[k, j], R[k, k] = c, -s, s, c
-    return R
-
-
 def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:
     """Place along its segment after a move, and how far beyond the end of the segment that is."""
     reach, at = robot.segments[where.segment - 1].length if where.segment else 0.0, where.at
     if 0 < at < reach:
         at = min(max(at + far, 0.0), reach)
     return at, where.at + far - at
+
+
+def _about(axis: str, angle: float) -> Array:
+    return Rotation.from_euler(axis, angle).as_matrix()
 
 
 def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, float], q: Array) -> Array:
@@ -251,7 +251,7 @@ def _of_magnet(
     R = F @ described.magnets[k].place.rotation
     centre = frame[:, :3, 3] + F @ robot.magnets[k].place.position
     tilt = parameters.get(name + "tilt about x", 0.0)
-    turns = np.stack([np.eye(3)[:, 0], _about(0, tilt)[:, 1]], axis=1)
+    turns = np.stack([np.eye(3)[:, 0], _about("x", tilt)[:, 1]], axis=1)
     force = wrench[..., :3]
     torque = wrench[..., 3:] - np.cross(centre[:, None], force)
     by = np.concatenate([-force @ R, -torque @ (R @ turns)], axis=-1)
@@ -266,12 +266,12 @@ def _of_sensor(
     name, part, place = f"sensor {j + 1} ", described.sensors[j], robot.sensors[j].place
     F, at = frame[:, :3, :3], frame[:, :3, 3] + frame[:, :3, :3] @ place.position
     azimuth, tilt = (parameters.get(name + x, 0.0) for x in ("azimuth", "tilt"))
-    turned = _about(2, azimuth)
+    turned = _about("z", azimuth)
     force, torque = wrench[..., :3], wrench[..., 3:] - np.cross(at[:, None], wrench[..., :3])
     around = np.cross([0.0, 0.0, 1.0], place.position)
     outwards = turned @ (part.place.position * [1.0, 1.0, 0.0])
     across = -(turned @ part.place.rotation)[:, 1]
-    tilted = turned @ part.place.rotation @ _about(1, -tilt)
+    tilted = turned @ part.place.rotation @ _about("y", -tilt)
     slopes = {
         "azimuth": _work(force, F @ around) + _work(torque, F[..., 2]),
         "radius": _work(force, F @ outwards),

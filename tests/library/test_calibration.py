@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from repro import (
     ConstantCurvature,
@@ -85,6 +86,20 @@ def test_slopes_by_every_parameter_are_those_of_the_readings():
         central = (up - down) / (2 * h)
         atol = 1e-6 * np.abs(central).max() + 1e-11 / scale[k]
         np.testing.assert_allclose(J[..., k], central, rtol=0, atol=atol, err_msg=name)
+
+
+def test_a_chip_turns_about_its_own_axes_and_about_the_backbone():
+    robot, turn = with_chip(), Rotation.from_euler("z", 0.1).as_matrix()
+    old = robot.sensors[0].place
+    for name, expected in (
+        ("tilt about z", old.rotation @ turn),
+        ("tilt about x", old.rotation @ Rotation.from_euler("x", 0.1).as_matrix()),
+        ("tilt", old.rotation @ Rotation.from_euler("y", -0.1).as_matrix()),
+        ("azimuth", turn @ old.rotation),
+    ):
+        new = placed(robot, {f"sensor 1 {name}": 0.1}).sensors[0].place
+        np.testing.assert_allclose(new.rotation, expected, atol=1e-14, err_msg=name)
+    np.testing.assert_allclose(new.position, turn @ old.position, atol=1e-17)
 
 
 def test_parameters_and_deviations_are_those_of_the_first_edition():

@@ -22,13 +22,13 @@ from repro import (
     Magnet,
     Ring,
     Robot,
-    Sensing,
     Sensor,
     calibrate,
     simulated_readings,
     track,
 )
 from repro.check import _verdict, check_design, mirrored_chips
+from repro.networks import Network
 from repro_board import cli
 
 from .robots import RELEASED
@@ -191,35 +191,31 @@ def test_a_magnet_that_turns_about_its_own_axis():
     assert free.undetermined == ("combinations of rotation_x_1, rotation_y_1 and rotation_z_1",)
 
 
-def test_a_fixed_coordinate_is_known():
-    free, fixed = check_design(arm(stretch=0.01)), check_design(arm())
-    assert np.median(fixed.tip) < np.median(free.tip)
-
-
-def test_a_model_of_ones_own_has_no_tolerances():
-    def model(xi):
-        return 1e-3 / xi[..., 1] ** 2 * xi[..., 2] + 0.1 * xi[..., 4]
-
-    robot = good()
-    sensing = Sensing(robot, model)
-    found = check_design(good(model=model))
-    J = sensing.linearise(found.q)[1] / robot.noise[:, None]
-    G = robot.tip_slopes(found.q)[1]
-    C = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
-    expected = np.sqrt(np.trace(G @ C @ np.swapaxes(G, 1, 2), axis1=1, axis2=2))
-    np.testing.assert_allclose(found.tip, expected, rtol=1e-4)
+def test_a_trained_network_has_no_tolerances():
+    width = 1 + 4 * len(good().magnets)
+    layer = (np.random.default_rng(0).normal(size=(1, width)), np.zeros(1))
+    found = check_design(good(model=Network([layer], "silu", "cosines")))
     np.testing.assert_array_equal(found.tip_as_built, found.tip_within_bounds)
 
 
-def test_what_a_robot_must_state():
-    robot = good()
-    with pytest.raises(InputError) as error:
-        check_design(Robot(robot.segments, robot.magnets, robot.sensors, noise=1e-3))
-    assert str(error.value) == "Input bounds of check must be stated by the robot; instead received none."
-    with pytest.raises(InputError, match="Input noise of check must be stated by the robot"):
-        check_design(robot.replaced(noise=None))
-    with pytest.raises(InputError, match="a coordinate is free"):
-        check_design(robot.replaced(upper=robot.lower))
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: good().replaced(lower=None, upper=None),
+            "bounds of check must be stated by the robot; instead",
+        ),
+        (
+            lambda: good().replaced(noise=None),
+            "noise of check must be stated by the robot; instead received none",
+        ),
+        (lambda: good().replaced(upper=good().lower), "a coordinate is free"),
+        (lambda: Robot([BallJoint()], imus=[Imu(1, 0.0)], noise=0.01), "one whose tip moves"),
+    ],
+)
+def test_what_a_robot_must_state(make, message):
+    with pytest.raises(InputError, match=message):
+        check_design(make())
 
 
 def test_the_command(tmp_path, capsys, monkeypatch):
@@ -270,12 +266,6 @@ def test_steps_of_the_readings_count_as_estimators_take_them():
     found = check_design(robot.replaced(sensors=coarse, noise=5e-3))
     rounded = np.hypot(5e-3, 0.1 / np.sqrt(12))
     np.testing.assert_allclose(found.tip, check_design(robot.replaced(noise=rounded)).tip)
-
-
-def test_a_robot_whose_tip_stays_is_no_design():
-    joint = Robot([BallJoint()], imus=[Imu(1, 0.0)], noise=0.01)
-    with pytest.raises(InputError, match="one whose tip moves"):
-        check_design(joint)
 
 
 def test_a_reading_too_near_a_magnet_is_left_out_by_every_estimator_and_named():

@@ -15,7 +15,6 @@ from repro import (
     ConstantCurvature,
     Imu,
     InputError,
-    Magnet,
     Robot,
     Sensing,
     Sensor,
@@ -24,7 +23,7 @@ from repro import (
 from repro.networks import Network, load_network, network_of
 from repro.sensing import relations
 
-from .robots import CHAINS, RELEASED, STORED, chain, complex_pose, configuration, paper_robot
+from .robots import CHAINS, STORED, chain, complex_pose, configuration, paper_robot
 
 NETWORKS = Path(__file__).parents[2] / "data" / "networks"
 
@@ -154,28 +153,6 @@ def test_the_fast_network_predicts_what_torch_predicts():
     np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("inputs", ["angles", "cosines"])
-def test_a_callable_is_differentiated_through_the_relations(inputs):
-    robot = paper_robot(2)
-    q = np.random.default_rng(0).normal(size=(3, 6)) * 0.008
-    sensing = Sensing(
-        robot, lambda xi: np.sin(xi[..., 2] + xi[..., 3] * xi[..., 8]) / xi[..., 1], inputs=inputs
-    )
-    u, J = sensing.linearise(q)
-    np.testing.assert_allclose(u, sensing(q), rtol=1e-14)
-    for c in range(6):
-        step = np.eye(6)[c] * 1e-7
-        slope = (sensing(q + step) - sensing(q - step)) / 2e-7
-        np.testing.assert_allclose(J[..., c], slope, rtol=0, atol=1e-6 * np.abs(J).max())
-
-
-def test_angles_at_the_straight_pose_have_finite_slopes():
-    sensing = Sensing(paper_robot(1), lambda xi: xi[..., 2] + xi[..., 3], inputs="angles")
-    u, J = sensing.linearise(np.zeros(3))
-    assert np.isfinite(J).all()
-    assert u == pytest.approx(np.full(3, np.pi + np.arctan2(-0.013, 0.055) + np.pi), abs=0.5)
-
-
 def test_what_an_imu_reads_beyond_the_prediction_is_a_turn_in_the_base():
     """Near half a turn, where rotation vectors jump, the difference is small and right."""
     robot = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1)])
@@ -183,23 +160,6 @@ def test_what_an_imu_reads_beyond_the_prediction_is_a_turn_in_the_base():
     u, near = sensing(np.array([[3.13, 0.0, 0.0], [3.15, 0.0, 0.0]]))
     np.testing.assert_allclose(sensing.difference(near, u), [0.0, 0.02, 0.0], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(sensing.difference([0.0, np.nan, 0.0], u), [np.nan] * 3)
-
-
-def test_wrenches_say_how_readings_change_when_parts_move():
-    """A magnet that moves by a twist changes the reading by the negative of wrench times twist."""
-    robot = paper_robot(1)
-    q, h = np.array([0.004, -0.003, 0.002]), 1e-6
-    _, wrench = Sensing(robot).wrenches(q)
-    for axis in range(3):
-        moved = [
-            Robot(
-                robot.segments, [Magnet(RELEASED, 1, 0.055, position=s * h * np.eye(3)[axis])], robot.sensors
-            )
-            for s in (-1, 1)
-        ]
-        slope = (Sensing(moved[1])(q) - Sensing(moved[0])(q)) / (2 * h)
-        (T,) = robot.poses(q, [robot.magnets[0].place])
-        np.testing.assert_allclose(-wrench[:, 0, :3] @ T[:3, axis], slope, rtol=0, atol=1e-5)
 
 
 def test_one_network_for_all_for_each_reading_or_for_each_segment():
@@ -233,7 +193,7 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
         ),
         (
             lambda: Sensing(paper_robot(1), 3),
-            "model of Sensing must be a callable or networks; instead received int",
+            "model of Sensing must be networks; instead received int",
         ),
         (
             lambda: Sensing(paper_robot(1), gain=[1.0, 2.0]),
@@ -243,11 +203,7 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
             lambda: Sensing(paper_robot(2), moments=[[1.0], [2.0], [3.0]]),
             r"moments of Sensing must be numbers of shape",
         ),
-        (lambda: Sensing(paper_robot(1), lambda xi: xi, inputs="degrees"), '"angles" or "cosines"'),
-        (
-            lambda: Sensing(paper_robot(1), lambda xi: xi)([0, 0, 0]),
-            r"maps relations \(1, 3, 5\) to readings \(1, 3\)",
-        ),
+        (lambda: relations(paper_robot(1), [0, 0, 0], inputs="degrees"), '"angles" or "cosines"'),
         (lambda: Sensing(paper_robot(1))([0, 0]), "of last dimension 3"),
         (
             lambda: load_network("nowhere.safetensors"),

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.chain import Chain, FreeBody, Place, place, point_on, rotation_matrix, unit_quaternions
+from repro.chain import Chain, FreeBody, Place, place, point_on, unit_quaternions
 from repro.common import Array, bad_input, is_table, numbers, require
 from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
 from repro.estimators.least_squares import CHI2, LevenbergMarquardt
@@ -248,7 +248,8 @@ def measured_poses(poses: Any, owner: str) -> Array:
         T[..., :3, 3] = rows[..., :3]
         there = np.isfinite(rows[..., 3:]).all(-1) & (values.shape[-1] == 7)
         if there.any():
-            T[there, :3, :3] = rotation_matrix(unit_quaternions(rows[there, 3:], "poses", owner, (None, 4)))
+            q = unit_quaternions(rows[there, 3:], "poses", owner, (None, 4))
+            T[there, :3, :3] = Rotation.from_quat(q).as_matrix()
     else:
         expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3)"
         raise bad_input("poses", owner, expected, f"shape {values.shape}")
