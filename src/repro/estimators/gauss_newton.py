@@ -18,8 +18,8 @@ import numpy as np
 
 from repro.common import Array
 
-_DAMPING = 1e-3
-"""Least damping, where a step leads to something worse."""
+_DAMPING = 1e-5
+"""Least damping, where a step leads to something worse. In a valley that bends, more would only creep along it."""
 
 
 class Trial(NamedTuple):
