@@ -23,9 +23,9 @@ from repro_board.cleaning import SPIKE, alike, orientations, unwrapped
 TOLERANCES = Tolerances(sensor_gain=0.05, sensor_offset=0.5, earth=0.05)
 """How far a robot may be from its file, where the file states nothing."""
 _MOST_POSES = 150
-_MODEL_ERROR, _MOST_ROWS, _ROUNDS, _SETTLED = 0.003, 4000, 40, 1e-3
-"""Without poses: share of a reading that its model is off; rows that are used, most rounds, and the share of what was
-assumed below which a step is the last."""
+_MODEL_ERROR, _MOST_ROWS, _ROUNDS, _SETTLED, _DAMPING = 0.003, 4000, 40, 1e-3, 1e-5
+"""Without poses: share of a reading that its model is off; rows that are used, most rounds, the share of what was
+assumed below which a step is the last, and the least damping."""
 _CAUSES = (
     "parts that are not where the file says, which poses would tell; axes exchanged or of the wrong sign; another "
     "unit or robot; iron or magnets nearby"
@@ -91,7 +91,7 @@ def by_motion(robot: Robot, u: Array) -> tuple[Calibration, str]:
     """
     motion = _Motion(robot, u)
     start = motion.start
-    fitted = gauss_newton(motion.trial, start**-2, iterations=_ROUNDS, tolerance=_SETTLED)
+    fitted = gauss_newton(motion.trial, start**-2, iterations=_ROUNDS, tolerance=_SETTLED, damping=_DAMPING)
     spread, before = max(1.0, _typical(fitted.last)), _typical(fitted.first)
     changes, prior = _parameters(robot, motion.model.names), np.diag(start**-2)
     rows = np.array(list(changes.values()))

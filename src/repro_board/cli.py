@@ -265,9 +265,10 @@ def record(
         Record nothing; list the ports.
     """
     from repro_board import record as tool
+    from repro_board.session import ports
 
     if list_only:
-        print(tool.ports())
+        print(ports())
         return 0
     require(port, "PORT", "repro record", "given (repro record --list shows them)", "none")
     if output is None:
@@ -331,12 +332,12 @@ def live(
     grown
         State every ± so many times as large, if repro evaluate finds the truth outside too often.
     """
-    from repro_board.live import live as follow
+    from repro_board import live as tool
 
-    done = follow(
-        port, robot, calibration=calibration, estimator=estimator, output=output, estimates=estimates,
-        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration_s=duration,
-        grown=grown, format=format or None,
+    line = tool.Line(port, baud, format or None)
+    done = tool.live(
+        line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,
+        browser_socket=browser_socket if browser else None, duration_s=duration,
     )  # fmt: skip
     print(done)
     return 0

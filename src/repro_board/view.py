@@ -1,23 +1,52 @@
-"""A robot over time in 3-D, on a page: its shape, magnets, sensors and readings, with a slider for time.
+"""What is shown of a robot: its shape over time in 3-D, and of a live session words, numbers and a page.
 
 A :class:`View` shows itself where it is the result of a notebook's cell. It brings its data and a picture;
 ``page/vendor/shape_viewer.js`` puts itself in the place of the picture, and asks no other file or host.
+
+A session knows :class:`Facts` of itself. They become a :class:`Moment`: numbers, words, and what a page draws. The
+server of the page is for the browser of this computer alone. It binds the loopback address. The address that it
+prints holds a secret, which becomes a cookie; requests that name another host, come from another site or do not know
+the secret are refused. All files are in memory. A request must come soon and be small. Every page takes updates at
+its own pace, so a slow one delays no other.
 """
 
 from __future__ import annotations
 
+import asyncio
 import base64
+import hmac
 import html
 import io
 import json
+import math
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from tornado import httpserver, iostream, web
 
 from repro.chain import ConstantCurvature, point_on
-from repro.common import Array, numbers, require
+from repro.common import Array, bad_input, numbers, require
+from repro.estimators.base import Estimate, evenly
+from repro.estimators.monitor import (
+    BEYOND_BOUNDS,
+    CONSISTENT,
+    FROZEN,
+    INCONSISTENT,
+    LEFT_OUT,
+    STATUS,
+    TRUSTED,
+    UNCHECKED,
+    UNDETERMINED,
+)
+from repro.estimators.track import Trajectory
 from repro.robot import Robot
 
 VIEWER = Path(__file__).with_name("page") / "vendor" / "shape_viewer.js"
@@ -198,3 +227,486 @@ def _packed(values: Array, quantum: float) -> str:
 
 def _encoded(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
+
+
+# ------------------------------------------------------------------------------------------------- a live session
+SILENT_S = 1.0
+"""After this time nothing comes, or what is shown is old [s]."""
+BY_BOUNDS = 0.9 / math.sqrt(12)
+"""Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
+_DAMAGED = ("checksum_errors", "malformed", "oversized")
+_ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
+
+
+Row = tuple[float, Array, Estimate]
+"""Time [s], readings and estimate of a time step."""
+
+
+class Facts(NamedTuple):
+    """What a session knows of itself at one time."""
+
+    robot: Robot
+    estimator: str
+    failed: tuple[int, ...]
+    grown: float
+    last: Row | None
+    """Time [s], readings and estimate of the newest time step that was estimated."""
+    age_s: float
+    """How old that is; zero while it is of now."""
+    running_s: float
+    silent_s: float
+    """Time since the session began, and since the last byte [s]."""
+    lost: str
+    """Why the port is away; empty while it is there."""
+    blind: str
+    """Which view has failed, and why."""
+    counts: Mapping[str, int]
+    recent: Mapping[str, int]
+    span_s: float
+    """Of the whole session, and of the last ``span_s`` seconds."""
+    latencies: tuple[float, ...]
+    remarks: tuple[str, ...]
+    """Of parser and steps, and of what is missing, so far."""
+    cause: str
+    """The last remark since the last estimate: those before are no cause of a fault."""
+
+    @property
+    def status(self) -> int:
+        """The number of what the monitor says."""
+        return 0 if self.last is None else int(self.last[2].details.get("status", 0))
+
+    @property
+    def apart_s(self) -> float:
+        """Three time steps of the robot file [s]."""
+        return 3.0 / (self.robot.rate_hz or 3.0)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing comes for longer than time steps are apart."""
+        return self.silent_s > max(SILENT_S, self.apart_s)
+
+
+class Moment(NamedTuple):
+    """What is shown of a session."""
+
+    made_s: float
+    """When, by the clock of the session [s]."""
+    numbers: tuple[str, ...]
+    summary: tuple[tuple[str, str], ...]
+    alarms: tuple[str, ...]
+    notes: tuple[str, ...]
+    trusted: bool
+    doubt: str
+    """Why the shape is not to be trusted; empty if it is."""
+    suspects: tuple[int, ...]
+    """Readings of the parts that the monitor names."""
+    age_s: float
+    last: tuple[float, Array, Array] | None
+    """Time [s], readings, and these less what the estimate predicts, in units of the noise."""
+    shape: Mapping[str, Any] | None
+    """What the viewer of the page draws; None where there is no page."""
+
+
+class Watched(Protocol):
+    """What those who show a session may see of it, and tell it."""
+
+    robot: Robot
+    moment: Moment
+
+    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
+        """Work in another thread; what fails there is told."""
+        ...
+
+    def blinded(self, view: str, error: BaseException) -> str:
+        """Take note that a view has failed, and say so."""
+        ...
+
+
+def moment(facts: Facts, made_s: float, *, with_shape: bool) -> Moment:
+    """Return what is shown."""
+    last, robot, status = facts.last, facts.robot, facts.status
+    named, seen, shape = suspects(last[2] if last else None), None, None
+    if last is not None and np.isfinite(last[2].q).all():
+        t, u, found = last
+        noise: Any = robot.total_noise
+        seen = t, u, (u - found.u_hat) / noise
+        if with_shape:
+            C: Any = found.covariance
+            shape = dict(view(robot, found.q[None], [0.0], "now", covariance=C[None]).data)
+            shape["suspects"] = [k for k in named if k < len(robot.sensors)]
+    doubt = "old" if facts.age_s else STATUS[status] if status not in (CONSISTENT, UNCHECKED) else ""
+    doubtful = tuple(np.flatnonzero(np.isin(robot.parts, named)).tolist())
+    return Moment(
+        made_s, in_numbers(facts), tuple(summary(facts).items()), sentences(facts), notes(facts),
+        not facts.age_s and status in TRUSTED, doubt, doubtful, facts.age_s, seen, shape,
+    )  # fmt: skip
+
+
+def suspects(found: Estimate | None) -> tuple[int, ...]:
+    """Return the parts that the monitor names."""
+    return () if found is None else tuple(np.flatnonzero(found.details.get("suspects", ())).tolist())
+
+
+def sentences(facts: Facts) -> tuple[str, ...]:
+    """Return what is wrong at the moment, in sentences that stay the same as long as it is."""
+    wrong = _of_the_wire(facts)
+    return (wrong,) if wrong else (*_of_the_pace(facts), *_of_the_estimate(facts))
+
+
+def _of_the_wire(facts: Facts) -> str:
+    """Return why there are no time steps; nothing if there are some."""
+    counts, recent = facts.counts, facts.recent
+    late, why = facts.running_s > SILENT_S, facts.cause or _ASK
+    causes = {
+        "The port is gone; we wait until it is there again.": facts.lost,
+        "Nothing arrives yet. Is the board powered and programmed? Reset it.": late and not counts["bytes"],
+        "Nothing arrives any more. Has the board lost its power or its wires?": counts["bytes"]
+        and facts.quiet,
+        f"Bytes arrive, but no readings. {why}": late and recent["bytes"] and not recent["frames"],
+        f"What arrives does not fit this robot. {why}": (
+            late and recent["frames"] and not recent["estimates"]
+        ),
+    }
+    return next((text for text, holds in causes.items() if holds), "")
+
+
+def _of_the_pace(facts: Facts) -> list[str]:
+    """Return what is odd about the number of frames and time steps."""
+    recent, stated = facts.recent, facts.robot.rate_hz or 0.0
+    damaged = sum(recent.get(name, 0) for name in _DAMAGED)
+    share, rate = damaged / max(damaged + recent["frames"], 1), recent["time_steps"] / facts.span_s
+    goes_on = facts.silent_s < max(SILENT_S / 4, facts.apart_s)
+    steady = goes_on and facts.counts["time_steps"] > recent["time_steps"] > 0
+    another = stated and steady and not damaged and not 0.8 < rate / stated < 1.25
+    word = "More" if rate > stated else "Fewer"
+    odd = {
+        f"About {10 * round(10 * share) or 5} % of the frames are damaged: look at cable and --baud.": share
+        > 0.05,
+        f"{word} than the {stated:g} time steps of the robot file arrive in a second.": another,
+        "The estimator is slower than the board: time steps are left out.": recent["skipped"],
+    }
+    return [text for text, holds in odd.items() if holds]
+
+
+def _of_the_estimate(facts: Facts) -> list[str]:
+    """Return what the monitor says, which bounds the shape touches, and which sensors say nothing."""
+    if facts.last is None or facts.age_s:
+        return []
+    (_, u, found), robot, named = facts.last, facts.robot, suspects(facts.last[2])
+    names = robot.part_names
+    who, leave = " or ".join(names[k] for k in named), "".join(f" (--failed {k + 1})" for k in named[:1])
+    causes = (
+        "something magnetic nearby, several sensors, or a robot that is not as described (repro calibrate)"
+    )
+    words = {
+        LEFT_OUT: f"What {who or 'a sensor'} reads does not fit the other readings and is left out{leave}.",
+        INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
+        FROZEN: "Do not trust the shape: the board repeats itself, all its readings are old.",
+        UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
+        BEYOND_BOUNDS: "The readings fit only beyond the bounds of the robot file. The shape stays within them.",
+    }
+    touched = np.flatnonzero(found.details.get("at_bound", ()))
+    near = np.flatnonzero(found.details.get("too_near", ()))
+    there = np.bincount(robot.parts, np.isfinite(u), len(names)) > 0
+    return [
+        *([words[facts.status]] if facts.status in words else []),
+        *(f"{robot.coordinates[c]} is at a bound of the robot file." for c in touched),
+        *(
+            f"{names[k]} is so close to a magnet that its field is not known: it is left out."
+            for k in np.unique(robot.parts[near])
+        ),
+        *(
+            f"There is no reading of {names[k]}; it is left out."
+            for k in np.flatnonzero(~there)
+            if k not in facts.failed
+        ),
+    ]
+
+
+def notes(facts: Facts) -> tuple[str, ...]:
+    """Return what else to know: what was asked for, and what happened so far."""
+    skipped, unused = facts.counts["skipped"], ", ".join(facts.robot.part_names[k] for k in facts.failed)
+    bare = facts.last is not None and facts.status == UNCHECKED
+    said = {
+        facts.blind: facts.blind,
+        f"Not used, as asked: {unused}.": unused,
+        f"Every ± is {facts.grown:g} times what the estimator states.": facts.grown != 1.0,
+        f"{skipped} time steps were left out because newer ones had come; a recording has them.": skipped,
+        "There are no more readings than unknowns: a wrong sensor looks like another shape.": bare,
+    }
+    return (*facts.remarks, *(text for text, holds in said.items() if holds))
+
+
+@cache
+def units_of(robot: Robot) -> list[tuple[str, str, float]]:
+    """Return name, unit in tables and factor to it of every coordinate."""
+    none = np.zeros((0, robot.n_q))
+    return Trajectory(none, none, None, none, none, none, none, robot=robot).units()
+
+
+def in_numbers(facts: Facts) -> tuple[str, ...]:
+    """Return the tip and the coordinates, each with its standard deviation."""
+    robot, last = facts.robot, facts.last
+    if last is None or not np.isfinite(last[2].q).all():
+        return ()
+    found = last[2]
+    low: Any = robot.lower
+    q, C = found.q, np.asarray(found.covariance)
+    p, G = robot.tip_slopes(q)
+    values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
+    sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
+    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
+    units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
+    units += units_of(robot)
+    said = []
+    for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
+        if w == 0:  # fixed by its bounds
+            continue
+        digits = 4 if unit == "rad" else 2
+        known = f"{name} {factor * x:.{digits}f} ± {factor * s:.{digits}f} {unit}"
+        alone = " by its bounds alone" if s > BY_BOUNDS * w and not name.startswith("tip") else ""
+        said.append(f"{name} undetermined" if not s <= w else known + alone)
+    return tuple(said)
+
+
+def summary(facts: Facts) -> dict[str, str]:
+    """Return fit, pace, latency and losses in words."""
+    fit, counts = "no estimate yet", facts.counts
+    if facts.last is not None:
+        found = facts.last[2]
+        chi2, dof, fit = float(found.chi2), float(found.dof), STATUS[facts.status]
+        if chi2 >= 0 and dof > 0:
+            fit += f", residuals {math.sqrt(chi2 / dof):.1f} times the noise"
+    p50, p99 = 1e3 * np.quantile(facts.latencies or [np.nan], [0.5, 0.99])
+    own = ("bytes", "time_steps", "estimates", "skipped")
+    others = [f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n and name not in own]
+    pace = f"{facts.recent['time_steps'] / facts.span_s:.3g} time steps/s, {counts['estimates']} estimates"
+    return {
+        "fit": f"{facts.age_s:.0f} s old; {fit}" if facts.age_s else fit,
+        "pace": f"{pace} by {facts.estimator}",
+        "latency": f"{p50:.2g} ms in the median, {p99:.2g} ms in 99 %"
+        if facts.latencies
+        else "no estimate yet",
+        "received": ", ".join(others) or "nothing",
+    }
+
+
+# ------------------------------------------------------------------------------------------------------- its page
+_PAGE = Path(__file__).with_name("page")
+_SCRIPT = "text/javascript; charset=utf-8"
+FILES = {
+    "/": ("live.html", "text/html; charset=utf-8"),
+    "/live.css": ("live.css", "text/css; charset=utf-8"),
+    "/live.js": ("live.js", _SCRIPT),
+    "/viewer.js": ("vendor/shape_viewer.js", _SCRIPT),
+}
+"""All files that are served."""
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Server": "repro",
+}
+UPDATE_S, STALLED_S, ASK_S = 0.05, 10.0, 2.0
+"""Time between two updates; that a page may take nothing; within which a request must be there [s]."""
+RETRY_S = 1.0
+"""After this time a page that has lost its connection asks again [s]."""
+MOST_PAGES = 5
+"""A browser has six connections to an address; by the sixth it hears that there is no room."""
+
+
+Json = dict[str, Any]
+
+
+class PageServer:
+    """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
+
+    def __init__(self, session: Watched, port: int = 0) -> None:
+        require(0 <= port <= 65535, "browser_socket", "live", "0 to 65535", port)
+        try:
+            self._socket = socket.create_server(("127.0.0.1", port), backlog=128)
+        except OSError as error:
+            raise bad_input(
+                "browser_socket", "live", "a free port, or 0", f"{port}: {error.strerror}"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
+        self.token = secrets.token_urlsafe(24)
+        self.address = f"http://127.0.0.1:{self.port}/?token={self.token}"
+        at = "" if self.port == 80 else f":{self.port}"  # browsers leave out what is usual
+        self.hosts = (f"127.0.0.1{at}", f"localhost{at}")
+        self.contents = {path: ((_PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+        self.contents["/scene.json"] = json.dumps(scene(session.robot)).encode(), "application/json"
+        self.session, self.pages, self.latest = session, set[_Events](), ""
+        self._loop, self.over = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=session.guarded, args=(self._run, "page"), daemon=True)
+
+    def __enter__(self) -> PageServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self.over.set)
+        self._thread.join()
+        self._loop.close()
+
+    def _run(self) -> None:
+        self._loop.run_until_complete(self._serve())
+
+    async def _serve(self) -> None:
+        routes = [("/events", _Events, {"server": self}), ("/.*", _File, {"server": self})]
+        application = web.Application(routes, log_function=lambda _: None)
+        limits: Json = {"max_header_size": 8192, "max_body_size": 1024}
+        server = httpserver.HTTPServer(
+            application, idle_connection_timeout=ASK_S, body_timeout=ASK_S, **limits
+        )
+        self._socket.setblocking(False)
+        server.add_socket(self._socket)
+        while not self.over.is_set():
+            if self.pages:
+                self.latest = self._told()
+            self._wake()
+            await _within(self.over.wait(), UPDATE_S)
+        server.stop()
+        self._wake()
+        await asyncio.sleep(0.2 * bool(self.pages))  # they are told that it is over
+        await server.close_all_connections()
+
+    def _told(self) -> str:
+        try:
+            return _json(message(self.session.moment))
+        except Exception as error:
+            return _json(_blind(self.session.blinded("page", error)))
+
+    def _wake(self) -> None:
+        for page in self.pages:
+            page.new.set()
+
+
+async def _within(work: Any, seconds: float) -> bool:
+    """Return whether something was done in time."""
+    try:
+        await asyncio.wait_for(work, seconds)
+    except TimeoutError:
+        return False
+    return True
+
+
+class _File(web.RequestHandler):
+    """Answers with a file, if the request comes from a page of this address that knows the secret."""
+
+    def initialize(self, server: PageServer) -> None:
+        self.server = server
+
+    def set_default_headers(self) -> None:
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        server, headers = self.server, self.request.headers
+        origins = [f"http://{host}" for host in server.hosts]
+        here = headers.get("Host", "").lower() in server.hosts  # two of them arrive as one text with a comma
+        here = here and headers.get("Origin", origins[0]) in origins
+        if not here or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise web.HTTPError(403)
+        cookie = f"repro_{server.port}"  # all ports of a host share their cookies
+        if self.request.path == "/" and self._is_token(self.get_query_argument("token", "")):
+            self.set_cookie(cookie, server.token, httponly=True, samesite="Strict")
+            self.redirect("/")
+        elif not self._is_token(self.get_cookie(cookie, "") or ""):
+            raise web.HTTPError(403)
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self.server.token.encode())
+
+    def get(self) -> Any:
+        """Answer."""
+        content, kind = self.server.contents.get(self.request.uri or "", (None, ""))
+        if content is None:
+            raise web.HTTPError(404)
+        self.set_header("Content-Type", kind)
+        self.finish(content)
+
+
+class _Events(_File):
+    """Sends the newest state whenever there is one and the page has taken the one before."""
+
+    async def get(self) -> None:
+        """Answer until the page leaves, or the session is over."""
+        server, self.new = self.server, asyncio.Event()
+        if len(server.pages) >= MOST_PAGES:
+            raise web.HTTPError(503)
+        self.set_header("Content-Type", "text/event-stream")
+        server.pages.add(self)
+        self.write(f"retry: {round(1e3 * RETRY_S)}\n")
+        try:
+            while not server.over.is_set():
+                self.write(f"data: {server.latest}\n\n" if server.latest else ":\n\n")
+                if not await _within(self.flush(), STALLED_S):
+                    self.detach().close()
+                    return
+                self.new.clear()
+                await self.new.wait()
+            self.finish("event: end\ndata:\n\n")
+        except iostream.StreamClosedError:  # the page has left
+            pass
+        finally:
+            server.pages.discard(self)
+
+
+def scene(robot: Robot) -> Json:
+    """Return what the page needs once: names of the readings, and what the viewer draws in."""
+    name, q = robot.source.name if robot.source else "robot", np.zeros((1, robot.n_q))
+    if robot.lower is not None and robot.upper is not None:
+        middle = (robot.lower + robot.upper) / 2
+        q = middle + 0.6 * (evenly(robot.lower, robot.upper, 200) - middle)  # nearly all that it does
+    C = np.zeros((len(q), robot.n_q, robot.n_q))
+    label = f"The estimated shape of {name} at the moment."
+    shape = view(robot, q, np.arange(len(q)), label, covariance=C, frames=200).data
+    more = {
+        "time_s": [],
+        "tallest": 640,
+        "zoom": 1.25,
+        "suspects": {"name": "suspected"},
+        "widest": 2 * shape["radius"],
+    }
+    unit = "mT, rad" if robot.imus else "mT"
+    return {"robot": name, "readings": robot.names, "unit": unit, "shape": shape | more}
+
+
+def message(seen: Moment) -> Json:
+    """Return what a page is told of a moment. One that nothing takes the place of is old."""
+    told: Json = {
+        "doubt": "old" if time.monotonic() - seen.made_s > SILENT_S else seen.doubt,
+        "numbers": seen.numbers,
+        "summary": dict(seen.summary),
+        "alarms": seen.alarms,
+        "notes": seen.notes,
+        "suspects": seen.suspects,
+    }
+    if seen.last is not None:
+        t, u, residuals = seen.last
+        told |= {
+            "time_s": t,
+            "age_s": seen.age_s,
+            "readings": _cells(u),
+            "residuals": _cells(residuals),
+            "shape": seen.shape,
+        }
+    return told
+
+
+def _blind(why: str) -> Json:
+    """Return what a page is told where a message cannot be made: that what it shows is old, and why."""
+    empty: Json = {"summary": {}, "notes": [], "suspects": []}
+    return {"doubt": "old", "numbers": ["not known"], "alarms": [why], **empty}
+
+
+def _json(told: Json) -> str:
+    return json.dumps(told, separators=(",", ":"), allow_nan=False)  # a browser reads no NaN
+
+
+def _cells(values: Array) -> list[float | None]:
+    return [float(f"{x:.5g}") if np.isfinite(x) else None for x in values]

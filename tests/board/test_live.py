@@ -24,14 +24,22 @@ import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
-from repro_board import page_server as server_module
-from repro_board import words as words_module
+from repro_board import view as view_module
 from repro_board.emulate import course, faulty
-from repro_board.live import BURST, LOOK_S, MOMENT_S, Follower, Session, Table, live
-from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
-from repro_board.record import Writer, open_port, read_recording
+from repro_board.live import Line, live, table_of_estimates
+from repro_board.record import Writer, read_recording
+from repro_board.session import BEHIND_S, BURST, LOOK_S, MOMENT_S, Follower, Session, open_port
+from repro_board.view import (
+    FILES,
+    MOST_PAGES,
+    PageServer,
+    in_numbers,
+    message,
+    notes,
+    sentences,
+    summary,
+)
 from repro_board.wire import encode, text_line
-from repro_board.words import notes, numbers, sentences, summary
 from tests.board.waiting import until
 
 RATE_HZ = 1000.0
@@ -117,9 +125,9 @@ def noted(session: Session) -> list[str]:
 def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     board, name = wire
     port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
-    session, rows = Session(Follower(ROBOT), port, writer), []
+    session, rows = Session(Follower(ROBOT), port), []
     session.follower.warm()
-    session.each = rows.append
+    session.record, session.rows = writer.take, rows
     look, made = session.look, []
     session.look = lambda: made.append(time.monotonic()) or look()
     thread = play(board, sent(U[:400]))
@@ -147,7 +155,8 @@ def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp
     real, looks = time.time_ns, itertools.count()
     port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
     monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9 * (next(looks) % 2))
-    session = Session(Follower(ROBOT), port, writer, "csv")
+    session = Session(Follower(ROBOT), port, "csv")
+    session.record = writer.take
     thread = play(board, [text_line(row, "csv") for row in U[:30]], 0.01)
     session.run(0.6)
     thread.join()
@@ -165,14 +174,14 @@ def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session
     session = session_of(sent(U[:20]))
     (tmp_path / "a.csv").write_text("of another process")
     message = r"output of live must be a new file .*a\.csv"
-    with pytest.raises(InputError, match=message), Table(tmp_path / "a.csv", session):
-        session.each(session.last)
+    with pytest.raises(InputError, match=message), table_of_estimates(tmp_path / "a.csv", session):
+        session.rows.append(session.last)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_estimates_are_those_of_track():
     session, rows = session_of(name="kalman"), []
-    session.each = rows.append
+    session.rows = rows
     for k, frame in enumerate(sent(U[:200])):
         session.inbox.put((session.began + TIMES[k], frame))
         session.turn()
@@ -185,7 +194,7 @@ def test_estimates_are_those_of_track():
 
 def test_a_session_that_is_behind_takes_the_newest_and_counts_the_others():
     session = session_of()
-    late = time.monotonic() - 2 * module.BEHIND_S
+    late = time.monotonic() - 2 * BEHIND_S
     for frame in sent(U[:50]):
         session.inbox.put((late, frame))
     session.turn()
@@ -309,8 +318,8 @@ def test_all_is_well_and_nothing_is_said():
     session = session_of(sent(U[:100]))
     assert said(session) == []
     assert summary(session.facts())["fit"].startswith("consistent, residuals ")
-    assert numbers(session.facts())[0].startswith("tip x ")
-    assert numbers(session.facts())[3].endswith(" mm")
+    assert in_numbers(session.facts())[0].startswith("tip x ")
+    assert in_numbers(session.facts())[3].endswith(" mm")
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
@@ -430,7 +439,7 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
         threading.Thread(target=board, daemon=True).start()
         address = f"socket://127.0.0.1:{server.getsockname()[1]}"
         paths = {"output": tmp_path / "a.rec", "estimates": tmp_path / "a.csv"}
-        end = live(address, repro.example() / "robot.toml", stop=stop, **paths)
+        end = live(Line(address), repro.example() / "robot.toml", stop=stop, **paths)
     table = pd.read_csv(tmp_path / "a.csv")
     assert list(table.columns) == list(track(Follower(robot).estimator, u).to_frame().columns)
     assert len(table) == 40
@@ -439,7 +448,7 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
     assert "40 estimates by levenberg_marquardt" in end
     assert "The view on the terminal has failed, and the session goes on without it (ZeroDivisionError" in end
     with pytest.raises(InputError, match="output of live must be a new file"):
-        live(address, repro.example() / "robot.toml", **paths)
+        live(Line(address), repro.example() / "robot.toml", **paths)
 
 
 def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path):
@@ -448,7 +457,7 @@ def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path)
     with pytest.raises(
         InputError, match=r"robot of live must be one whose file states the noise .*robot\.toml"
     ):
-        live("nowhere", tmp_path / "robot.toml")
+        live(Line("nowhere"), tmp_path / "robot.toml")
 
 
 # ---------------------------------------------------------------------------------------------------------- the page
@@ -591,8 +600,8 @@ def test_a_page_that_takes_nothing_delays_no_other_and_too_many_are_refused(page
 
 
 def test_a_page_that_takes_nothing_for_long_is_given_up(page, stream, monkeypatch):
-    monkeypatch.setattr(server_module, "STALLED_S", 0.3)
-    monkeypatch.setattr(server_module, "message", lambda _: {"long": "x" * 1_000_000})
+    monkeypatch.setattr(view_module, "STALLED_S", 0.3)
+    monkeypatch.setattr(view_module, "message", lambda _: {"long": "x" * 1_000_000})
     stream(page)  # takes nothing, and its buffers are full soon
     other = stream(page)
     deadline = time.monotonic() + 8
@@ -640,7 +649,7 @@ def test_a_moment_that_nothing_takes_the_place_of_is_old():
 
 def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatch):
     session = session_of(sent(U[:50]))
-    monkeypatch.setattr(words_module, "numbers", lambda _: 1 / 0)
+    monkeypatch.setattr(view_module, "in_numbers", lambda _: 1 / 0)
     session.moment = session.look()
     failed = "The view has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
     assert message(session.moment) == {
@@ -659,7 +668,7 @@ def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatc
     answer = stream(page)
     assert event(answer)["numbers"]
     for fault in ({"alarms": [np.nan]}, None):
-        monkeypatch.setattr(server_module, "message", lambda _, told=fault: told["alarms"] and told)
+        monkeypatch.setattr(view_module, "message", lambda _, told=fault: told["alarms"] and told)
         told = next(told for told in (event(answer) for _ in range(100)) if told["doubt"] == "old")
         assert told["alarms"][0].startswith("The page has failed, and the session goes on without it (")
         monkeypatch.undo()

@@ -28,12 +28,11 @@ from repro_board.record import (
     Writer,
     arrival_times,
     board_times,
-    open_port,
-    ports,
     read_recording,
     readings_of,
     record,
 )
+from repro_board.session import open_port, ports
 from repro_board.steps import STANDS_STILL
 from repro_board.wire import encode
 from tests.board.waiting import until

@@ -1,0 +1,411 @@
+"""A robot followed live: bytes from a port become time steps, estimates, and what a person should know of them.
+
+One thread reads the port and hands on every byte to who records it. The session parses and estimates in a thread
+of its own. If it falls behind, it estimates the newest time step and counts those that it leaves out. What other
+threads tell it comes through its inbox; what they may show of it is its moment, which it replaces 20 times a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import gc
+import math
+import os
+import queue
+import select
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from repro.common import Array, InputError, bad_input, require
+from repro.estimators.base import Estimate, NearMagnets, evenly
+from repro.estimators.calibration import Calibration
+from repro.estimators.kalman import KalmanFilter
+from repro.estimators.least_squares import LevenbergMarquardt
+from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
+from repro.robot import Robot
+from repro_board.steps import Step, Steps
+from repro_board.view import SILENT_S, Facts, Moment, Row, moment, suspects
+from repro_board.wire import Parser
+
+MOST_BYTES = 65536
+"""Bytes taken from a port at once."""
+ESTIMATORS = ("levenberg_marquardt", "kalman")
+"""Those that a monitor watches."""
+BURST, LOOK_S, SHAPES = 64, 0.05, 200
+"""Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
+what a calibration left open is known beforehand."""
+BEHIND_S = 0.1
+"""A time step that has waited longer [s] is left out if there is a newer one."""
+WINDOW_S, SAMPLE_S, MOMENT_S = 2.0, 0.25, 0.05
+"""What counts as happening now, how often counts are kept for that, and time between two moments [s]."""
+SWITCH_S = 5e-4
+"""After this time a thread lets another one work [s]; the usual 5 ms are longer than an estimate takes."""
+
+
+class Port:
+    """A serial port or a socket that is opened again, as often as it must, whenever it is lost.
+
+    ``opened`` counts how often it was opened; ``lost`` says why it is away, and is empty while it is there.
+    """
+
+    def __init__(self, address: str, baud: int) -> None:
+        self.address, self.baud = address, baud
+        self._line = _open(address, baud)
+        self.opened, self.lost = 1, ""
+        self._wait_s = self._due = 0.0
+
+    @property
+    def reconnects(self) -> int:
+        """How often it was opened again."""
+        return self.opened - 1
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived; nothing after the time, or where the port had to be opened again."""
+        try:
+            if self.lost:
+                self._reopen(timeout_s)
+            elif select.select([self._line], [], [], timeout_s)[0]:
+                data = os.read(self._line.fileno(), MOST_BYTES)
+                if data:
+                    return data
+                raise ConnectionResetError(0, "closed at the other side")
+        except BlockingIOError:
+            pass
+        except (OSError, ValueError) as error:
+            self._wait_s = min(1.0, 2 * self._wait_s or 0.05) if self.lost else 0.0
+            self._due = time.monotonic() + self._wait_s
+            self.lost = getattr(error, "strerror", None) or str(error)
+            self.close()
+        return b""
+
+    def _reopen(self, timeout_s: float) -> None:
+        time.sleep(min(timeout_s, max(0.0, self._due - time.monotonic())))
+        if time.monotonic() >= self._due:
+            self._line = _open(self.address, self.baud)
+            self.opened, self.lost = self.opened + 1, ""
+
+    def close(self) -> None:
+        """Close it, also when it has disappeared."""
+        with contextlib.suppress(OSError):
+            self._line.close()
+
+
+def _open(address: str, baud: int) -> Any:
+    if address.startswith("socket:"):
+        where = urlsplit(address)
+        return socket.create_connection((where.hostname or "", where.port or 0), timeout=2.0)
+    import serial
+
+    return serial.Serial(address, baud, timeout=0, exclusive=True)
+
+
+def open_port(address: str, baud: int = 115200) -> Port:
+    """Open a port for this process alone: ``/dev/ttyACM0`` or ``socket://HOST:PORT``; refuse it in words."""
+    require(0 < baud < 2**31, "baud", "the board", "a rate above zero", baud)
+    try:
+        return Port(address, baud)
+    except (OSError, ValueError) as error:
+        must = {
+            errno.ENOENT: f"one that is there; found: {ports()}",
+            errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
+            errno.EAGAIN: "free (close the program that has it open)",
+            errno.EBUSY: "free (close the program that has it open)",
+        }.get(
+            getattr(error, "errno", None) or 0, "a serial port, or socket://HOST:PORT of a listening program"
+        )
+        why = getattr(error, "strerror", None) or error
+        raise bad_input("port", "the board", must, f"{address} ({why})") from error
+
+
+def ports() -> str:
+    """Return the serial ports of this computer, with what they say they are, one a line."""
+    from serial.tools import list_ports
+
+    found = [f"{port.device}  {port.description}" for port in sorted(list_ports.comports())]
+    return "\n".join(found) or "no serial port (plug a board in; socket://HOST:PORT works without one)"
+
+
+def estimator_of(
+    robot: Robot, name: str = "", owner: str = "repro track"
+) -> LevenbergMarquardt | KalmanFilter:
+    """Return the estimator of a name for a robot: least squares if none is given."""
+    name = name or ESTIMATORS[0]
+    require(name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
+    return KalmanFilter(robot) if name == "kalman" else LevenbergMarquardt(robot)
+
+
+class Follower:
+    """An estimator and its monitor. A long alarm costs little more than none.
+
+    In an alarm the monitor fits the readings without each part in turn, which takes as long as ten to thirty
+    estimates. After ``BURST`` rows it does so every ``LOOK_S``. The rows between are estimated without the readings
+    that it left out last.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        name: str = "",
+        failed: Sequence[int | str] = (),
+        grown: float = 1.0,
+        calibration: Calibration | None = None,
+    ) -> None:
+        owner = "live"
+        self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
+        require(0 < grown < math.inf, "grown", owner, "positive", grown)
+        self.robot, self.failed, self.grown = robot, [robot.part(x, owner) for x in failed], grown
+        self._shapes = self._open = None
+        if calibration is not None:  # what it left open, in shapes between which it hardly changes
+            self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
+            self._open = calibration.lasting_covariance(self._shapes)
+        self.monitor = Monitor(self.estimator)
+        self._unused = np.isin(robot.parts, self.failed)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget everything."""
+        self.state: Any = self.monitor.init()
+        self.said: Mapping[str, Any] = {"status": 0}
+        self._inner: Any = None
+        self._burst, self._looked = BURST, -math.inf
+        self._near = NearMagnets.of(self.robot, self.robot.n_readings)
+
+    def warm(self) -> None:
+        """Compile and load what an estimate or an alarm needs, so that no reading waits for it."""
+        q, robot = self.robot.start, self.robot
+        if q is None and robot.lower is not None and robot.upper is not None:
+            q = (robot.lower + robot.upper) / 2
+        u = np.asarray(robot.sensing()(np.zeros(robot.n_q) if q is None else q)).ravel()
+        for k in range(30):
+            self.step(
+                u + 1e-6 * k * np.arange(len(u)) + 100.0 * (k >= 10) * (np.arange(len(u)) == 0), 0.01 * k
+            )
+        self.begin()
+
+    def step(self, u: Array, t: float) -> Estimate:
+        """Estimate a time step."""
+        near = np.zeros(len(u), dtype=bool) if self._near is None else self._near.readings()
+        u = np.where(self._unused | near, np.nan, u)
+        alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
+        if alarm and self._burst <= 0 and t - self._looked < LOOK_S:
+            u = np.where(self.said["left_out"], np.nan, u)
+            self._inner, found = self.estimator.step(self._inner, u, t)
+            C: Any = found.covariance
+            more = {name: self.said[name] for name in SAID}
+            found = found._replace(covariance=self.said["growth"] * C, details=found.details | more)
+        else:
+            self.state, found = self.monitor.step(self.state, u, t)
+            self._inner, self.said, self._looked = self.state.inner, found.details, t
+            self._burst = min(self._burst + (-1 if alarm else 1), BURST)
+        if self._near is not None:
+            self._near.q, found = found.q, found._replace(details=found.details | {"too_near": near})
+        total: Any = found.covariance
+        if self._shapes is not None and self._open is not None:
+            width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
+            away = self.robot.free_angles.difference(self._shapes, found.q) / width
+            total = total + self._open[np.square(away).sum(axis=1).argmin()]
+        return found._replace(covariance=self.grown**2 * total)
+
+    def suspects(self, found: Estimate | None) -> list[int]:
+        """Return the parts that the monitor names."""
+        return list(suspects(found))
+
+
+class PortState(NamedTuple):
+    """What a port has become: whether it was opened again, and why it is away, if it is."""
+
+    again: bool
+    lost: str
+
+
+Item = bytes | PortState | str | BaseException
+
+
+class Session:
+    """A port with its parser and estimator.
+
+    Other threads put into ``inbox`` what they have (bytes, a state of the port, which view has failed, an error that
+    ends the session), show ``moment``, and take ``rows`` away. Everything else is the session's own. ``record`` is
+    given all bytes, and whether the port was opened again before them, in the thread that reads the port.
+    """
+
+    def __init__(
+        self,
+        follower: Follower,
+        port: Port,
+        format: str | None = None,
+        *,
+        with_shape: bool = False,
+    ) -> None:
+        self.follower, self.port, self.with_shape = follower, port, with_shape
+        self.robot, source = follower.robot, follower.robot.source
+        self.parser = Parser(format or (source.stream.get("format") if source else None))
+        self.steps = Steps(self.robot, source=self.parser)
+        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Item]]()
+        self.record: Callable[[bytes, bool], None] = lambda *_: None
+        self.remarks: dict[str, float] = {}  # and when each was made last
+        self.rows: MutableSequence[Row] = deque(maxlen=0)  # for who writes them
+        self.pending = deque[tuple[float, Step]]()
+        self.last: Row | None = None
+        self.began = self.heard = self.estimated_at = time.monotonic()
+        self.own = {"bytes": 0, "time_steps": 0, "estimates": 0, "skipped": 0}
+        self.lost = self.blind = self.refusal = ""
+        self.latencies = deque[float](maxlen=5000)
+        self.counts: deque[tuple[float, dict[str, int]]] = deque(maxlen=round(WINDOW_S / SAMPLE_S))
+        self.moment = self.look()
+
+    def run(self, duration_s: float = math.inf) -> None:
+        """Follow the port until ``stop`` is set, the time is over, or a file cannot be written."""
+        reader = threading.Thread(target=self.guarded, args=(self._read,), daemon=True)
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        gc.freeze()  # a look through all that the libraries have made takes a tenth of a second
+        self.began = self.heard = self.estimated_at = time.monotonic()
+        reader.start()
+        try:
+            while not self.stop.is_set() and time.monotonic() - self.began < duration_s:
+                self.turn()
+        finally:
+            self.stop.set()
+            reader.join()
+            gc.unfreeze()
+            sys.setswitchinterval(before)
+        self.settle()
+
+    def settle(self) -> None:
+        """Take in what other threads have said last, without bytes; raise what has failed there."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                at, item = self.inbox.get_nowait()
+                if not isinstance(item, bytes):
+                    self._take(at, item)
+
+    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
+        """Work in another thread. What fails there ends the session, and ``run`` raises it.
+
+        If a view fails the session goes on, because it may be recording.
+        """
+        try:
+            return work()
+        except BaseException as error:
+            if view:
+                return self.blinded(view, error)
+            self.inbox.put((time.monotonic(), error))
+            self.stop.set()
+            return None
+
+    def blinded(self, view: str, error: BaseException) -> str:
+        """Say that a view has failed and why, in another thread; it is among the notes from then on."""
+        why = f"{type(error).__name__}: {error}"
+        text = f"The {view} has failed, and the session goes on without it ({why})."
+        self.inbox.put((time.monotonic(), text))
+        return text
+
+    def _read(self) -> None:
+        state = self.port.opened, self.port.lost
+        while not self.stop.is_set():
+            data, at = self.port.read(0.05), time.monotonic()
+            before, state = state, (self.port.opened, self.port.lost)
+            again = state[0] != before[0]
+            if state != before:
+                self.inbox.put((at, PortState(again, state[1])))
+            if data:
+                self.inbox.put((at, data))
+            self.record(data, again)
+
+    def turn(self) -> None:
+        """Take in what has arrived, estimate one time step, and look if it is time for that."""
+        wait, now = not self.pending, time.monotonic()
+        if not self.counts or now - self.counts[-1][0] >= SAMPLE_S:
+            self.counts.append((now, self.counters()))
+        idle = not self.pending and self.inbox.empty()  # no time step has to wait for a moment, unless all do
+        if now - self.moment.made_s >= (MOMENT_S if idle else 4 * MOMENT_S):
+            self.moment = self.look()
+        with contextlib.suppress(queue.Empty):
+            self._take(*self.inbox.get(wait, MOMENT_S))
+            while True:
+                self._take(*self.inbox.get_nowait())
+        if len(self.pending) > 1 and time.monotonic() - self.pending[0][0] > BEHIND_S:
+            self.own["skipped"] += len(self.pending) - 1
+            self.pending = deque([self.pending[-1]])
+        if self.pending:
+            self._estimate(*self.pending.popleft())
+
+    def _take(self, at: float, item: Item) -> None:
+        match item:
+            case bytes():
+                self._parse(at, item)
+            case PortState():
+                self.lost = item.lost
+                if item.again:
+                    self.parser.reopened()
+            case str():
+                self.blind = item
+            case _:
+                raise item
+
+    def _parse(self, at: float, data: bytes) -> None:
+        self.heard = at
+        self.own["bytes"] += len(data)
+        found = []
+        try:
+            found = self.steps.feed(self.parser.feed(data), at - self.began)
+        except InputError as error:  # the board is that of another robot
+            self._refused(error)
+        for remarks in (self.parser.remarks, self.steps.remarks):
+            self.remarks |= dict.fromkeys(remarks, time.monotonic())
+            remarks.clear()  # it is made again if the cause comes again
+        self.own["time_steps"] += len(found)
+        self.pending.extend((at, step) for step in found)
+
+    def _estimate(self, at: float, step: Step) -> None:
+        try:
+            found = self.follower.step(step.u, step.time_s)
+        except InputError as error:  # of this row; the next one may do
+            self._refused(error)
+            return
+        self.estimated_at = time.monotonic()
+        self.own["estimates"] += 1
+        self.latencies.append(self.estimated_at - at)
+        self.last = step.time_s, step.u, found
+        self.rows.append(self.last)
+
+    def _refused(self, error: InputError) -> None:
+        self.refusal = str(error)
+        self.remarks[self.refusal] = time.monotonic()
+
+    def counters(self) -> dict[str, int]:
+        """Return all counts since the beginning."""
+        left_out = {name: n for name, n in self.steps.counters.items() if name != "steps"}
+        return {**self.parser.counters, **left_out, **self.own}
+
+    def facts(self) -> Facts:
+        """Return what is known at the moment."""
+        now, counts, follower = time.monotonic(), self.counters(), self.follower
+        then, before = self.counts[0] if self.counts else (self.began, {})
+        late = {at: text for text, at in self.remarks.items() if at > self.estimated_at}
+        facts = Facts(
+            self.robot, follower.name, tuple(follower.failed), follower.grown, self.last, now - self.estimated_at,
+            now - self.began, now - self.heard, self.lost, self.blind, counts,
+            {name: n - before.get(name, 0) for name, n in counts.items()}, max(now - then, 1e-3),
+            tuple(self.latencies), (*self.remarks, *self.steps.losses()), late[max(late)] if late else "",
+        )  # fmt: skip
+        return facts._replace(age_s=facts.age_s if facts.age_s > max(SILENT_S, facts.apart_s) else 0.0)
+
+    def look(self) -> Moment:
+        """Return what is shown of the moment; if that cannot be made the session goes on, as it may be recording."""
+        made_s = time.monotonic()
+        try:
+            return moment(self.facts(), made_s, with_shape=self.with_shape)
+        except Exception as error:
+            text = self.blinded("view", error)
+            return Moment(made_s, ("not known",), (), (text,), (), False, "old", (), 0.0, None, None)
