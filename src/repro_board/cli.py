@@ -123,8 +123,7 @@ def track(
         readings, robot, output=output, calibration=calibration, estimator=estimator, smooth=smooth,
         failed=failed or (), rate_hz=rate,
     )  # fmt: skip
-    print(done)
-    return 0
+    return tell(done)
 
 
 @app.command(group=ROBOT, sort_key=3)
@@ -171,8 +170,7 @@ def calibrate(
         done = calibrate_files(
             readings, poses, robot, output, pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg, rate_hz=rate,
         )  # fmt: skip
-    print(done)
-    return 0
+    return tell(done)
 
 
 @app.command(group=ROBOT, sort_key=4)
@@ -228,8 +226,7 @@ def evaluate(
         readings, poses, robot, output, bodies=body or (), straight_s=straight_s, pose_noise_mm=pose_noise_mm,
         pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag, rate_hz=rate,
     )  # fmt: skip
-    print(done)
-    return 0
+    return tell(done)
 
 
 @app.command(group=BOARD, sort_key=1)
@@ -339,8 +336,7 @@ def live(
         line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,
         browser_socket=browser_socket if browser else None, duration_s=duration,
     )  # fmt: skip
-    print(done)
-    return 0
+    return tell(done)
 
 
 @app.command(group=BOARD, sort_key=3)
@@ -434,6 +430,12 @@ def emulate(
         source, rate_hz=rate, speed=speed, loop=loop, tolerances=tolerances, hold_poses=hold_poses, hold_s=hold,
         faults=fault or (), fault_from=fault_from, seed=seed, port_file=port_file, socket=socket,
     )  # fmt: skip
+
+
+def tell(done: object) -> int:
+    """Print what a command did; return that all is well."""
+    print(done)
+    return 0
 
 
 @contextmanager

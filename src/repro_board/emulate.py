@@ -25,6 +25,7 @@ from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
 from repro_board.record import Recording, read_recording
+from repro_board.report import units_of
 from repro_board.wire import encode, text_line
 
 SPEED = 0.5
@@ -212,14 +213,11 @@ def held(poses: Array, hold_s: float, times: Array) -> Array:
 
 def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     """Write the table of poses that are held to a new file: coordinates, and from when until when it stands."""
-    units = [
-        ("mm", 1e3) if "delta" in name else ("deg", 180 / math.pi) if angle else ("rad", 1.0)
-        for name, angle in zip(robot.coordinates, robot.angles, strict=True)
-    ]
-    names = [f"{name}_{unit}" for name, (unit, _) in zip(robot.coordinates, units, strict=True)]
+    units = units_of(robot)
+    names = [f"{name}_{unit}" for name, unit, _ in units]
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)
-    table = np.hstack([poses * [factor for _, factor in units], windows])
+    table = np.hstack([poses * [factor for *_, factor in units], windows])
     with whole(path, "emulate") as part, part.open("w", encoding="utf-8") as file:
         np.savetxt(file, table, "%.6f", ",", header=",".join([*names, "start_s", "end_s"]), comments="")
 

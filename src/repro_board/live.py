@@ -20,8 +20,8 @@ from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
 from repro_board.record import Writer, stopping
-from repro_board.session import Follower, Session, open_port
-from repro_board.view import Moment, PageServer, Row, notes, summary
+from repro_board.session import Follower, Session, notes, open_port, summary
+from repro_board.view import Moment, PageServer, Row
 
 
 def terminal(seen: Moment) -> Group:
@@ -40,7 +40,7 @@ def shown(session: Session, browser_socket: int | None) -> Iterator[None]:
     """Show a session on the terminal and, with the number of a socket, on a page for the browser."""
     console = Console(stderr=True)
 
-    def on_the_terminal() -> Group | Text:
+    def on_the_terminal() -> Group | Text | None:
         seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
         return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
 
@@ -132,8 +132,8 @@ def live(
         session.run(duration_s)
     if session.refusal and not session.own["estimates"]:
         raise InputError(session.refusal)
-    facts = session.facts()
-    return "\n".join([*(f"{name}: {text}" for name, text in summary(facts).items()), *notes(facts)])
+    counted = [f"{name}: {text}" for name, text in summary(session).items()]
+    return "\n".join([*counted, *notes(session)])
 
 
 def _follower(path: str | Path, method: Method) -> Follower:

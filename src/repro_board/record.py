@@ -45,7 +45,7 @@ from repro.common import Array, require, whole
 from repro.robot import Robot
 from repro.tables import Readings, read_readings
 from repro_board.session import MOST_BYTES, open_port
-from repro_board.steps import STANDS_STILL, STILL, Steps
+from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
 _MAGIC = b"RRB2"
@@ -461,6 +461,6 @@ def readings_of(robot: Robot, source: Any) -> Readings:
         source = read_recording(source)
     if not isinstance(source, Recording):
         return read_readings(robot, source)
-    steps = Steps(robot, source=source)
+    steps = Steps(robot, source=Labels(source.names, source.units, source.format))
     table = steps.table(source.samples, source.times, source.path.name)
     return read_readings(robot, table._replace(remarks=(*source.remarks, *steps.remarks)))

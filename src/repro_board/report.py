@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from scipy.stats import chi2 as chi_square
 from repro.common import Array, require, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
+from repro.robot import Robot
 
 _COVERED = 0.95
 
@@ -58,6 +60,13 @@ def some(words: Sequence[Any], most: int = 5) -> str:
     """Return the first of some words, and how many more there are."""
     rest = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(map(str, words[:most])) + rest
+
+
+@cache
+def units_of(robot: Robot) -> list[tuple[str, str, float]]:
+    """Return name, unit in tables and factor to it of every coordinate."""
+    none = np.zeros((0, robot.n_q))
+    return Trajectory(none, none, None, none, none, none, none, robot=robot).units()
 
 
 def suspicions(shape: Trajectory) -> list[str]:

@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -30,10 +30,23 @@ from repro.estimators.base import Estimate, NearMagnets, evenly
 from repro.estimators.calibration import Calibration
 from repro.estimators.kalman import KalmanFilter
 from repro.estimators.least_squares import LevenbergMarquardt
-from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
+from repro.estimators.monitor import (
+    BEYOND_BOUNDS,
+    CONSISTENT,
+    FROZEN,
+    INCONSISTENT,
+    LEFT_OUT,
+    SAID,
+    STATUS,
+    TRUSTED,
+    UNCHECKED,
+    UNDETERMINED,
+    Monitor,
+)
 from repro.robot import Robot
+from repro_board.report import units_of
 from repro_board.steps import Step, Steps
-from repro_board.view import SILENT_S, Facts, Moment, Row, moment, suspects
+from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
 from repro_board.wire import Parser
 
 MOST_BYTES = 65536
@@ -143,6 +156,12 @@ def estimator_of(
     return KalmanFilter(robot) if name == "kalman" else LevenbergMarquardt(robot)
 
 
+BY_BOUNDS = 0.9 / math.sqrt(12)
+"""Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
+_DAMAGED = ("checksum_errors", "malformed", "oversized")
+_ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
+
+
 class Follower:
     """An estimator and its monitor. A long alarm costs little more than none.
 
@@ -227,15 +246,11 @@ class PortState(NamedTuple):
     lost: str
 
 
-Item = bytes | PortState | str | BaseException
-
-
-class Session:
+class Session(Shared):
     """A port with its parser and estimator.
 
-    Other threads put into ``inbox`` what they have (bytes, a state of the port, which view has failed, an error that
-    ends the session), show ``moment``, and take ``rows`` away. Everything else is the session's own. ``record`` is
-    given all bytes, and whether the port was opened again before them, in the thread that reads the port.
+    What is not :class:`Shared` is the session's own. ``record`` is given all bytes, and whether the port was opened
+    again before them, in the thread that reads the port.
     """
 
     def __init__(
@@ -247,18 +262,20 @@ class Session:
         with_shape: bool = False,
     ) -> None:
         self.follower, self.port, self.with_shape = follower, port, with_shape
-        self.robot, source = follower.robot, follower.robot.source
+        super().__init__(follower.robot)
+        source = self.robot.source
         self.parser = Parser(format or (source.stream.get("format") if source else None))
         self.steps = Steps(self.robot, source=self.parser)
-        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Item]]()
         self.record: Callable[[bytes, bool], None] = lambda *_: None
         self.remarks: dict[str, float] = {}  # and when each was made last
-        self.rows: MutableSequence[Row] = deque(maxlen=0)  # for who writes them
         self.pending = deque[tuple[float, Step]]()
         self.last: Row | None = None
         self.began = self.heard = self.estimated_at = time.monotonic()
         self.own = {"bytes": 0, "time_steps": 0, "estimates": 0, "skipped": 0}
-        self.lost = self.blind = self.refusal = ""
+        self.lost = self.blind = self.refusal = (
+            ""  # why the port is away, a view has failed, a row was refused
+        )
+        self.apart_s = 3.0 / (self.robot.rate_hz or 3.0)  # three time steps of the robot file
         self.latencies = deque[float](maxlen=5000)
         self.counts: deque[tuple[float, dict[str, int]]] = deque(maxlen=round(WINDOW_S / SAMPLE_S))
         self.moment = self.look()
@@ -288,27 +305,6 @@ class Session:
                 at, item = self.inbox.get_nowait()
                 if not isinstance(item, bytes):
                     self._take(at, item)
-
-    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
-        """Work in another thread. What fails there ends the session, and ``run`` raises it.
-
-        If a view fails the session goes on, because it may be recording.
-        """
-        try:
-            return work()
-        except BaseException as error:
-            if view:
-                return self.blinded(view, error)
-            self.inbox.put((time.monotonic(), error))
-            self.stop.set()
-            return None
-
-    def blinded(self, view: str, error: BaseException) -> str:
-        """Say that a view has failed and why, in another thread; it is among the notes from then on."""
-        why = f"{type(error).__name__}: {error}"
-        text = f"The {view} has failed, and the session goes on without it ({why})."
-        self.inbox.put((time.monotonic(), text))
-        return text
 
     def _read(self) -> None:
         state = self.port.opened, self.port.lost
@@ -340,7 +336,7 @@ class Session:
         if self.pending:
             self._estimate(*self.pending.popleft())
 
-    def _take(self, at: float, item: Item) -> None:
+    def _take(self, at: float, item: object) -> None:
         match item:
             case bytes():
                 self._parse(at, item)
@@ -350,7 +346,7 @@ class Session:
                     self.parser.reopened()
             case str():
                 self.blind = item
-            case _:
+            case BaseException():
                 raise item
 
     def _parse(self, at: float, data: bytes) -> None:
@@ -388,24 +384,203 @@ class Session:
         left_out = {name: n for name, n in self.steps.counters.items() if name != "steps"}
         return {**self.parser.counters, **left_out, **self.own}
 
-    def facts(self) -> Facts:
-        """Return what is known at the moment."""
-        now, counts, follower = time.monotonic(), self.counters(), self.follower
+    @property
+    def status(self) -> int:
+        """The number of what the monitor says."""
+        return 0 if self.last is None else int(self.last[2].details.get("status", 0))
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the last byte [s]."""
+        return time.monotonic() - self.heard
+
+    @property
+    def age_s(self) -> float:
+        """How old the newest estimate is [s]; zero while it is of now."""
+        age_s = time.monotonic() - self.estimated_at
+        return age_s if age_s > max(SILENT_S, self.apart_s) else 0.0
+
+    def recent(self) -> tuple[dict[str, int], float]:
+        """Return what was counted of late, and in how many seconds."""
         then, before = self.counts[0] if self.counts else (self.began, {})
+        counts = {name: n - before.get(name, 0) for name, n in self.counters().items()}
+        return counts, max(time.monotonic() - then, 1e-3)
+
+    def cause(self) -> str:
+        """Return the last remark since the last estimate: those before are no cause of a fault."""
         late = {at: text for text, at in self.remarks.items() if at > self.estimated_at}
-        facts = Facts(
-            self.robot, follower.name, tuple(follower.failed), follower.grown, self.last, now - self.estimated_at,
-            now - self.began, now - self.heard, self.lost, self.blind, counts,
-            {name: n - before.get(name, 0) for name, n in counts.items()}, max(now - then, 1e-3),
-            tuple(self.latencies), (*self.remarks, *self.steps.losses()), late[max(late)] if late else "",
-        )  # fmt: skip
-        return facts._replace(age_s=facts.age_s if facts.age_s > max(SILENT_S, facts.apart_s) else 0.0)
+        return late[max(late)] if late else ""
 
     def look(self) -> Moment:
         """Return what is shown of the moment; if that cannot be made the session goes on, as it may be recording."""
         made_s = time.monotonic()
         try:
-            return moment(self.facts(), made_s, with_shape=self.with_shape)
+            return moment(self, made_s)
         except Exception as error:
-            text = self.blinded("view", error)
-            return Moment(made_s, ("not known",), (), (text,), (), False, "old", (), 0.0, None, None)
+            return UNKNOWN._replace(made_s=made_s, alarms=(self.blinded("view", error),))
+
+
+# ------------------------------------------------------------------------------------------- what is said of it
+def moment(session: Session, made_s: float) -> Moment:
+    """Return what is shown of a session."""
+    robot, last, status, age_s = session.robot, session.last, session.status, session.age_s
+    named, row, shape = suspects(last[2] if last else None), None, None
+    if last is not None and np.isfinite(last[2].q).all():
+        t, u, found = last
+        row = t, u, (u - found.u_hat) / np.asarray(robot.total_noise)
+        if session.with_shape:
+            C = np.asarray(found.covariance)[None]
+            shape = dict(view(robot, found.q[None], [0.0], "now", covariance=C).data)
+            shape["suspects"] = [k for k in named if k < len(robot.sensors)]
+    doubt = "old" if age_s else STATUS[status] if status not in (CONSISTENT, UNCHECKED) else ""
+    doubtful = tuple(np.flatnonzero(np.isin(robot.parts, named)).tolist())
+    return Moment(
+        made_s, in_numbers(session), tuple(summary(session).items()), sentences(session), notes(session),
+        not age_s and status in TRUSTED, doubt, doubtful, age_s, row, shape,
+    )  # fmt: skip
+
+
+def suspects(found: Estimate | None) -> tuple[int, ...]:
+    """Return the parts that the monitor names."""
+    return () if found is None else tuple(np.flatnonzero(found.details.get("suspects", ())).tolist())
+
+
+def sentences(session: Session) -> tuple[str, ...]:
+    """Return what is wrong at the moment, in sentences that stay the same as long as it is."""
+    wrong = _of_the_wire(session)
+    return (wrong,) if wrong else (*_of_the_pace(session), *_of_the_estimate(session))
+
+
+def _of_the_wire(session: Session) -> str:
+    """Return why there are no time steps; nothing if there are some."""
+    counts, (recent, _) = session.counters(), session.recent()
+    late, why = time.monotonic() - session.began > SILENT_S, session.cause() or _ASK
+    quiet = session.silent_s > max(SILENT_S, session.apart_s)
+    causes = {
+        "The port is gone; we wait until it is there again.": session.lost,
+        "Nothing arrives yet. Is the board powered and programmed? Reset it.": late and not counts["bytes"],
+        "Nothing arrives any more. Has the board lost its power or its wires?": counts["bytes"] and quiet,
+        f"Bytes arrive, but no readings. {why}": late and recent["bytes"] and not recent["frames"],
+        f"What arrives does not fit this robot. {why}": (
+            late and recent["frames"] and not recent["estimates"]
+        ),
+    }
+    return next((text for text, holds in causes.items() if holds), "")
+
+
+def _of_the_pace(session: Session) -> list[str]:
+    """Return what is odd about the number of frames and time steps."""
+    (recent, span_s), stated = session.recent(), session.robot.rate_hz or 0.0
+    damaged = sum(recent.get(name, 0) for name in _DAMAGED)
+    share, rate = damaged / max(damaged + recent["frames"], 1), recent["time_steps"] / span_s
+    goes_on = session.silent_s < max(SILENT_S / 4, session.apart_s)
+    steady = goes_on and session.counters()["time_steps"] > recent["time_steps"] > 0
+    another = stated and steady and not damaged and not 0.8 < rate / stated < 1.25
+    word = "More" if rate > stated else "Fewer"
+    odd = {
+        f"About {10 * round(10 * share) or 5} % of the frames are damaged: look at cable and --baud.": share
+        > 0.05,
+        f"{word} than the {stated:g} time steps of the robot file arrive in a second.": another,
+        "The estimator is slower than the board: time steps are left out.": recent["skipped"],
+    }
+    return [text for text, holds in odd.items() if holds]
+
+
+def _of_the_estimate(session: Session) -> list[str]:
+    """Return what the monitor says, which bounds the shape touches, and which sensors say nothing."""
+    if session.last is None or session.age_s:
+        return []
+    (_, u, found), robot, named = session.last, session.robot, suspects(session.last[2])
+    names = robot.part_names
+    who, leave = " or ".join(names[k] for k in named), "".join(f" (--failed {k + 1})" for k in named[:1])
+    causes = (
+        "something magnetic nearby, several sensors, or a robot that is not as described (repro calibrate)"
+    )
+    words = {
+        LEFT_OUT: f"What {who or 'a sensor'} reads does not fit the other readings and is left out{leave}.",
+        INCONSISTENT: f"Do not trust the shape: it does not explain the readings. The cause may be {who or causes}.",
+        FROZEN: "Do not trust the shape: the board repeats itself, all its readings are old.",
+        UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
+        BEYOND_BOUNDS: "The readings fit only beyond the bounds of the robot file. The shape stays within them.",
+    }
+    touched = np.flatnonzero(found.details.get("at_bound", ()))
+    near = np.flatnonzero(found.details.get("too_near", ()))
+    there = np.bincount(robot.parts, np.isfinite(u), len(names)) > 0
+    return [
+        *([words[session.status]] if session.status in words else []),
+        *(f"{robot.coordinates[c]} is at a bound of the robot file." for c in touched),
+        *(
+            f"{names[k]} is so close to a magnet that its field is not known: it is left out."
+            for k in np.unique(robot.parts[near])
+        ),
+        *(
+            f"There is no reading of {names[k]}; it is left out."
+            for k in np.flatnonzero(~there)
+            if k not in session.follower.failed
+        ),
+    ]
+
+
+def notes(session: Session) -> tuple[str, ...]:
+    """Return what else to know: what was asked for, and what happened so far."""
+    skipped, unused = (
+        session.counters()["skipped"],
+        ", ".join(session.robot.part_names[k] for k in session.follower.failed),
+    )
+    bare = session.last is not None and session.status == UNCHECKED
+    said = {
+        session.blind: session.blind,
+        f"Not used, as asked: {unused}.": unused,
+        f"Every ± is {session.follower.grown:g} times what the estimator states.": session.follower.grown
+        != 1.0,
+        f"{skipped} time steps were left out because newer ones had come; a recording has them.": skipped,
+        "There are no more readings than unknowns: a wrong sensor looks like another shape.": bare,
+    }
+    return (*session.remarks, *session.steps.losses(), *(text for text, holds in said.items() if holds))
+
+
+def in_numbers(session: Session) -> tuple[str, ...]:
+    """Return the tip and the coordinates, each with its standard deviation."""
+    robot, last = session.robot, session.last
+    if last is None or not np.isfinite(last[2].q).all():
+        return ()
+    found = last[2]
+    low: Any = robot.lower
+    q, C = found.q, np.asarray(found.covariance)
+    p, G = robot.tip_slopes(q)
+    values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
+    sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
+    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
+    units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
+    units += units_of(robot)
+    said = []
+    for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
+        if w == 0:  # fixed by its bounds
+            continue
+        digits = 4 if unit == "rad" else 2
+        known = f"{name} {factor * x:.{digits}f} ± {factor * s:.{digits}f} {unit}"
+        alone = " by its bounds alone" if s > BY_BOUNDS * w and not name.startswith("tip") else ""
+        said.append(f"{name} undetermined" if not s <= w else known + alone)
+    return tuple(said)
+
+
+def summary(session: Session) -> dict[str, str]:
+    """Return fit, pace, latency and losses in words."""
+    fit, counts, (recent, span_s) = "no estimate yet", session.counters(), session.recent()
+    if session.last is not None:
+        found = session.last[2]
+        chi2, dof, fit = float(found.chi2), float(found.dof), STATUS[session.status]
+        if chi2 >= 0 and dof > 0:
+            fit += f", residuals {math.sqrt(chi2 / dof):.1f} times the noise"
+    p50, p99 = 1e3 * np.quantile(session.latencies or [np.nan], [0.5, 0.99])
+    own = ("bytes", "time_steps", "estimates", "skipped")
+    others = [f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n and name not in own]
+    pace = f"{recent['time_steps'] / span_s:.3g} time steps/s, {counts['estimates']} estimates"
+    return {
+        "fit": f"{session.age_s:.0f} s old; {fit}" if session.age_s else fit,
+        "pace": f"{pace} by {session.follower.name}",
+        "latency": f"{p50:.2g} ms in the median, {p99:.2g} ms in 99 %"
+        if session.latencies
+        else "no estimate yet",
+        "received": ", ".join(others) or "nothing",
+    }

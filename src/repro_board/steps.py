@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from repro.tables import (
     spread,
     taken_in_order,
 )
-from repro_board.wire import WRAP, Sample
+from repro_board.wire import WRAP, Parser, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
 _EARLY_S, _LATE_S = 1.0, 2.0
@@ -35,27 +35,8 @@ STILL = 10
 STANDS_STILL = "The board's clock stands still, or is too coarse: times are those of arrival."
 
 
-class Source(Protocol):
-    """What samples come from, and what it says of their values: a parser or a recording."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the values; empty if it says none."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Their units."""
-        ...
-
-    @property
-    def format(self) -> str | None:
-        """How they were sent."""
-        ...
-
-
 class Labels(NamedTuple):
-    """Names and units of values that somebody states."""
+    """Names and units of values, and how they were sent, as far as somebody says it."""
 
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
@@ -91,7 +72,7 @@ class Steps:
     times
         ``board``: by its clock, where it sends one; or ``arrival``.
     source
-        What the samples come from, whose ``names`` and ``units`` say what the values are: a parser or a recording.
+        What the samples come from, whose ``names`` and ``units`` say what the values are: a parser, or labels.
         Without it they are the channels 1, 2, 3 and so on, in the unit of the robot.
 
     Attributes
@@ -111,7 +92,7 @@ class Steps:
     [0, 1, 0, 1]
     """
 
-    def __init__(self, robot: Robot, times: str = "board", source: Source = NO_LABELS) -> None:
+    def __init__(self, robot: Robot, times: str = "board", source: Parser | Labels = NO_LABELS) -> None:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
         self.remarks: list[str] = []

@@ -24,21 +24,25 @@ import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
+from repro_board import session as session_module
 from repro_board import view as view_module
 from repro_board.emulate import course, faulty
 from repro_board.live import Line, live, table_of_estimates
 from repro_board.record import Writer, read_recording
-from repro_board.session import BEHIND_S, BURST, LOOK_S, MOMENT_S, Follower, Session, open_port
-from repro_board.view import (
-    FILES,
-    MOST_PAGES,
-    PageServer,
+from repro_board.session import (
+    BEHIND_S,
+    BURST,
+    LOOK_S,
+    MOMENT_S,
+    Follower,
+    Session,
     in_numbers,
-    message,
     notes,
+    open_port,
     sentences,
     summary,
 )
+from repro_board.view import FILES, MOST_PAGES, PageServer, message
 from repro_board.wire import encode, text_line
 from tests.board.waiting import until
 
@@ -114,11 +118,11 @@ def session_of(frames=(), *, robot=ROBOT, name="", since_s: float = 0.0, port=No
 
 
 def said(session: Session) -> list[str]:
-    return list(sentences(session.facts()))
+    return list(sentences(session))
 
 
 def noted(session: Session) -> list[str]:
-    return list(notes(session.facts()))
+    return list(notes(session))
 
 
 # --------------------------------------------------------------------------------------------------------- the loop
@@ -317,9 +321,9 @@ def test_what_is_wrong_is_said(case):
 def test_all_is_well_and_nothing_is_said():
     session = session_of(sent(U[:100]))
     assert said(session) == []
-    assert summary(session.facts())["fit"].startswith("consistent, residuals ")
-    assert in_numbers(session.facts())[0].startswith("tip x ")
-    assert in_numbers(session.facts())[3].endswith(" mm")
+    assert summary(session)["fit"].startswith("consistent, residuals ")
+    assert in_numbers(session)[0].startswith("tip x ")
+    assert in_numbers(session)[3].endswith(" mm")
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
@@ -332,7 +336,7 @@ def test_a_remark_of_the_past_explains_no_fault_of_now():
     session = session_of([encode(U[0], 3, k) for k in range(2)] + sent(U[:50]), since_s=2)
     other = "Samples of stream 3 are none of the robot's: left out."
     assert noted(session) == [other]
-    assert "2 other streams" in summary(session.facts())["received"]
+    assert "2 other streams" in summary(session)["received"]
 
     def after(frame: bytes) -> str:
         session.counts.clear()
@@ -368,14 +372,14 @@ def test_a_slow_board_is_not_taken_for_a_silent_one():
     session.counts.append((time.monotonic() - 2, session.counters()))
     session.heard = session.estimated_at = time.monotonic() - 3
     assert said(session) == []
-    assert session.facts().age_s == 0
+    assert session.age_s == 0
 
 
 def test_silence_and_a_lost_port_are_told_apart():
     session = session_of(sent(U[:20]))
     session.heard = session.estimated_at = time.monotonic() - 1.5
     assert said(session)[0].startswith("Nothing arrives any more.")
-    assert summary(session.facts())["fit"].startswith("2 s old; ")
+    assert summary(session)["fit"].startswith("2 s old; ")
     session.lost = "unplugged"
     assert said(session) == ["The port is gone; we wait until it is there again."]
 
@@ -649,7 +653,7 @@ def test_a_moment_that_nothing_takes_the_place_of_is_old():
 
 def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatch):
     session = session_of(sent(U[:50]))
-    monkeypatch.setattr(view_module, "in_numbers", lambda _: 1 / 0)
+    monkeypatch.setattr(session_module, "in_numbers", lambda _: 1 / 0)
     session.moment = session.look()
     failed = "The view has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
     assert message(session.moment) == {
