@@ -261,7 +261,7 @@ def record(
     list_only
         Record nothing; list the ports.
     """
-    from repro_board import record as tool
+    from repro_board import live as tool
     from repro_board.session import ports
 
     if list_only:

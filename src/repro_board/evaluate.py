@@ -18,6 +18,8 @@ import numpy as np
 from repro.check import mirrors_in_words
 from repro.common import Array, bad_input, require, whole
 from repro.estimators.calibration import Calibration, calibrate, calibration_text, load_calibration
+from repro.estimators.kalman import KalmanFilter
+from repro.estimators.least_squares import LevenbergMarquardt
 from repro.estimators.track import Trajectory, track
 from repro.estimators.track import smooth as smoothed
 from repro.motion_files import Poses, read_poses
@@ -41,8 +43,9 @@ from repro_board.report import (
     tip_known,
     written,
 )
-from repro_board.session import ESTIMATORS, estimator_of
 
+ESTIMATORS = ("levenberg_marquardt", "kalman")
+"""Those that a monitor watches."""
 _WINDOW_S = 0.5
 """Readings are averaged over this time around a pose with one time."""
 _LEAST_S, _APART_S = 5.0, 1.0
@@ -77,6 +80,15 @@ def _pace(robot: Robot, times: Array | None) -> list[str]:
     if steps[k] > max(GAP_STEPS * usual, 0.2):
         found.append(f"The longest gap without a reading is {steps[k]:.3g} s, after {times[k]:.3f} s.")
     return found
+
+
+def estimator_of(
+    robot: Robot, name: str = "", owner: str = "repro track"
+) -> LevenbergMarquardt | KalmanFilter:
+    """Return the estimator of a name for a robot: least squares if none is given."""
+    name = name or ESTIMATORS[0]
+    require(name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
+    return KalmanFilter(robot) if name == "kalman" else LevenbergMarquardt(robot)
 
 
 def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Trajectory:

@@ -1,27 +1,111 @@
-"""The command ``live``: a session with its recording, its table of estimates, and those who show it."""
+"""What commands do at a port: ``record`` writes all that comes, ``live`` follows a robot and shows it."""
 
 from __future__ import annotations
 
 import math
+import signal
 import threading
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from rich.columns import Columns
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+import repro
 from repro.common import InputError, bad_input, require, whole
 from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
-from repro_board.record import Writer, stopping
+from repro_board.record import Writer
 from repro_board.session import Follower, Session, notes, open_port, summary
 from repro_board.view import Moment, PageServer, Row
+from repro_board.wire import Parser
+
+
+class Summary(NamedTuple):
+    """What `record` has done so far, or in the end; ``path`` is None where there is no file."""
+
+    path: Path | None
+    seconds: float
+    received: int
+    samples: int
+    reconnects: int
+    format: str | None
+    counters: dict[str, int]
+    remarks: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return a line of numbers, and one for each remark."""
+        counted = {"reconnects": self.reconnects} | self.counters
+        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
+        rate = f"{self.samples} samples of {self.format or 'no known format'}"
+        rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
+        numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
+        return "\n".join([", ".join(numbers), *self.remarks])
+
+
+@contextmanager
+def stopping(stop: threading.Event) -> Iterator[None]:
+    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
+    main = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def record(
+    port: str,
+    path: str | Path,
+    *,
+    baud: int = 115200,
+    duration_s: float = math.inf,
+    format: str | None = None,
+    channels: int | None = None,
+    stop: threading.Event | None = None,
+    show: Callable[[Summary], None] | None = None,
+) -> Summary:
+    """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
+
+    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
+    """
+    require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
+    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
+    about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
+    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
+        start = time.monotonic()
+        opened, shown = line.opened, start
+
+        def state() -> Summary:
+            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
+            return Summary(
+                file.path if file.received else None, time.monotonic() - start, file.received, samples,
+                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
+            )  # fmt: skip
+
+        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
+            data, before = line.read(min(0.1, left)), opened
+            opened = line.opened
+            file.take(data, opened > before)
+            if opened > before:
+                parser.reopened()
+            samples += len(parser.feed(data))
+            if show and time.monotonic() >= shown + 1:
+                shown = time.monotonic()
+                show(state())
+        file.close(state()._asdict() | {"path": None})
+        return state()
 
 
 def terminal(seen: Moment) -> Group:
@@ -40,7 +124,7 @@ def shown(session: Session, browser_socket: int | None) -> Iterator[None]:
     """Show a session on the terminal and, with the number of a socket, on a page for the browser."""
     console = Console(stderr=True)
 
-    def on_the_terminal() -> Group | Text | None:
+    def on_the_terminal() -> Any:
         seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
         return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
 

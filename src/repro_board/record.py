@@ -29,26 +29,25 @@ import itertools
 import json
 import math
 import os
-import signal
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
-import repro
 from repro.common import Array, require, whole
 from repro.robot import Robot
 from repro.tables import Readings, read_readings
-from repro_board.session import MOST_BYTES, open_port
 from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
 _MAGIC = b"RRB2"
+MOST_BYTES = 65536
+"""Of a block."""
 SYNC_S = 0.25
 """A power cut costs at most this time [s], and what the disk itself holds back."""
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
@@ -151,86 +150,6 @@ class Writer:
                 except Exception as error:  # the next block raises it
                     self._failure = error
                 synced = size
-
-
-class Summary(NamedTuple):
-    """What `record` has done so far, or in the end; ``path`` is None where there is no file."""
-
-    path: Path | None
-    seconds: float
-    received: int
-    samples: int
-    reconnects: int
-    format: str | None
-    counters: dict[str, int]
-    remarks: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Return a line of numbers, and one for each remark."""
-        counted = {"reconnects": self.reconnects} | self.counters
-        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
-        rate = f"{self.samples} samples of {self.format or 'no known format'}"
-        rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
-        numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
-        return "\n".join([", ".join(numbers), *self.remarks])
-
-
-@contextlib.contextmanager
-def stopping(stop: threading.Event) -> Iterator[None]:
-    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
-    main = threading.current_thread() is threading.main_thread()
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def record(
-    port: str,
-    path: str | Path,
-    *,
-    baud: int = 115200,
-    duration_s: float = math.inf,
-    format: str | None = None,
-    channels: int | None = None,
-    stop: threading.Event | None = None,
-    show: Callable[[Summary], None] | None = None,
-) -> Summary:
-    """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
-
-    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
-    """
-    require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
-    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
-    about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
-    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    closing = contextlib.closing
-    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
-        start = time.monotonic()
-        opened, shown = line.opened, start
-
-        def state() -> Summary:
-            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
-            return Summary(
-                file.path if file.received else None, time.monotonic() - start, file.received, samples,
-                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
-            )  # fmt: skip
-
-        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
-            data, before = line.read(min(0.1, left)), opened
-            opened = line.opened
-            file.take(data, opened > before)
-            if opened > before:
-                parser.reopened()
-            samples += len(parser.feed(data))
-            if show and time.monotonic() >= shown + 1:
-                shown = time.monotonic()
-                show(state())
-        file.close(state()._asdict() | {"path": None})
-        return state()
 
 
 class Recording(NamedTuple):

@@ -28,8 +28,6 @@ import numpy as np
 from repro.common import Array, InputError, bad_input, require
 from repro.estimators.base import Estimate, NearMagnets, evenly
 from repro.estimators.calibration import Calibration
-from repro.estimators.kalman import KalmanFilter
-from repro.estimators.least_squares import LevenbergMarquardt
 from repro.estimators.monitor import (
     BEYOND_BOUNDS,
     CONSISTENT,
@@ -44,6 +42,7 @@ from repro.estimators.monitor import (
     Monitor,
 )
 from repro.robot import Robot
+from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.report import units_of
 from repro_board.steps import Step, Steps
 from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
@@ -51,8 +50,6 @@ from repro_board.wire import Parser
 
 MOST_BYTES = 65536
 """Bytes taken from a port at once."""
-ESTIMATORS = ("levenberg_marquardt", "kalman")
-"""Those that a monitor watches."""
 BURST, LOOK_S, SHAPES = 64, 0.05, 200
 """Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
 what a calibration left open is known beforehand."""
@@ -145,15 +142,6 @@ def ports() -> str:
 
     found = [f"{port.device}  {port.description}" for port in sorted(list_ports.comports())]
     return "\n".join(found) or "no serial port (plug a board in; socket://HOST:PORT works without one)"
-
-
-def estimator_of(
-    robot: Robot, name: str = "", owner: str = "repro track"
-) -> LevenbergMarquardt | KalmanFilter:
-    """Return the estimator of a name for a robot: least squares if none is given."""
-    name = name or ESTIMATORS[0]
-    require(name in ESTIMATORS, "estimator", owner, f"one of {', '.join(ESTIMATORS)}", name)
-    return KalmanFilter(robot) if name == "kalman" else LevenbergMarquardt(robot)
 
 
 BY_BOUNDS = 0.9 / math.sqrt(12)

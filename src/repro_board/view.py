@@ -3,10 +3,10 @@
 A :class:`View` shows itself where it is the result of a notebook's cell. It brings its data and a picture;
 ``page/vendor/shape_viewer.js`` puts itself in the place of the picture, and asks no other file or host.
 
-What a live session lets others see of it is a :class:`Moment`: numbers, words, and what a page draws. The server of the page is for the browser of this computer alone. It binds the loopback address. The address that it
-prints holds a secret, which becomes a cookie; requests that name another host, come from another site or do not know
-the secret are refused. All files are in memory. A request must come soon and be small. Every page takes updates at
-its own pace, so a slow one delays no other.
+What a live session lets others see of it is a :class:`Moment`. The server of its page is for the browser of this
+computer alone. It binds the loopback address. The address that it prints holds a secret, which becomes a cookie;
+requests that name another host, come from another site or do not know the secret are refused. All files are in
+memory. A request must come soon and be small. Every page takes updates at its own pace: a slow one delays no other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, MutableSequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from tornado import httpserver, iostream, web
@@ -246,7 +246,6 @@ class Moment(NamedTuple):
 
 UNKNOWN = Moment(0.0, ("not known",), (), (), (), False, "old", (), 0.0, None, None)
 """What is shown where that cannot be made."""
-Shown = TypeVar("Shown")
 
 
 class Shared:
@@ -260,7 +259,7 @@ class Shared:
         self.rows: MutableSequence[Row] = deque(maxlen=0)
         """Estimates, for who writes them."""
 
-    def guarded(self, work: Callable[[], Shown], view: str = "") -> Shown | str | None:
+    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
         """Work in another thread. What fails there ends the session, and ``run`` raises it.
 
         If a view fails the session goes on, because it may be recording.

@@ -23,14 +23,14 @@ from hypothesis import strategies as st
 
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
-from repro_board import record as module
+from repro_board import live as module
+from repro_board.live import record
 from repro_board.record import (
     Writer,
     arrival_times,
     board_times,
     read_recording,
     readings_of,
-    record,
 )
 from repro_board.session import open_port, ports
 from repro_board.steps import STANDS_STILL
