@@ -8,10 +8,10 @@ from __future__ import annotations
 import io
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
@@ -38,7 +38,7 @@ app = App(
 app["--help"].group = Group("Help", sort_key=9)
 
 
-def as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
+def as_typed(_: object, tokens: Sequence[Token]) -> list[tuple[str, str]]:
     """Return names and values as they were typed: a value may start with a hyphen or look like JSON."""
     words = [token.value for token in tokens]
     return list(zip(words[::2], words[1::2], strict=True))
@@ -364,16 +364,12 @@ def export(
     estimates
         For mcap: a table that repro track or live wrote of this recording.
     """
-    from repro.robot_file import load_robot
     from repro_board.export import export as export_to
-    from repro_board.record import read_recording
 
-    described = None if robot is None else load_robot(robot)
-    read = read_recording(recording)
-    for remark in export_to(read, output, to=to, robot=described, estimates=estimates):
+    remarks, samples = export_to(recording, output, to=to, robot=robot, estimates=estimates)
+    for remark in remarks:
         print(remark, file=sys.stderr)
-    print(f"{output}  ({len(read.samples)} samples)")
-    return 0
+    return tell(f"{output}  ({samples} samples)")
 
 
 @app.command(group=BOARD, sort_key=4)
@@ -439,7 +435,7 @@ def tell(done: object) -> int:
 
 
 @contextmanager
-def shown_in_place() -> Iterator[Any]:
+def shown_in_place() -> Iterator[Callable[[object], None] | None]:
     """Give what shows a state: in one place on a terminal, else not at all."""
     from rich.console import Console
     from rich.live import Live

@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
 from socket import create_server
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
@@ -72,11 +72,11 @@ along x, and ``noise``, how many times larger it is than stated.
 """
 
 
-Faults = Mapping[str, Any] | Iterable[tuple[str, Any]]
+Faults = Mapping[str, object] | Iterable[tuple[str, object]]
 """Names and values."""
 
 
-def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
+def course(robot: Robot, times: ArrayLike, *, seed: int = 0) -> Array:
     r"""Return configurations ``[t, n_q]`` of a smooth motion between the bounds of a robot.
 
     Every coordinate is the sum of two sines, whose frequencies, shares and signs are random. The motion begins at
@@ -119,7 +119,13 @@ def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
     return middle + half * sign * sines.sum(axis=1)
 
 
-def faulty(readings: Any, fault: str, columns: Any, since: int = 0, size: Any = None) -> Array:
+def faulty(
+    readings: ArrayLike,
+    fault: str,
+    columns: int | Sequence[int] | Array,
+    since: int = 0,
+    size: Array | float | None = None,
+) -> Array:
     """Return readings of sensors that fail from one row on; the rows before stay as they are.
 
     ============ ==================================================================== ==========================
@@ -294,7 +300,7 @@ def _blocks(
         yield times, u[1:]
 
 
-def _channels(robot: Robot) -> list[Any]:
+def _channels(robot: Robot) -> list[int | str | None]:
     """Return the channel of each value of stream 0, None where a sensor states none: all but IMUs with a stream."""
     found = [x for sensor in robot.sensors for x in sensor.channels or [None] * sensor.axes]
     return found + [x for imu in robot.imus if isinstance(imu.channels, list | tuple) for x in imu.channels]

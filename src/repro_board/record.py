@@ -368,7 +368,7 @@ def is_recording(path: str | Path) -> bool:
         return file.read(3) == _MAGIC[:3]
 
 
-def readings_of(robot: Robot, source: Any) -> Readings:
+def readings_of(robot: Robot, source: object) -> Readings:
     """Return the readings ``[t, s]`` of a robot from a recording or a table: a path, or what was read of it.
 
     Raises

@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -180,8 +180,8 @@ class Follower:
 
     def begin(self) -> None:
         """Forget everything."""
-        self.state: Any = self.monitor.init()
-        self.said: Mapping[str, Any] = {"status": 0}
+        self.state = self.monitor.init()
+        self.said = {"status": np.array(0)}
         self._inner: Any = None
         self._burst, self._looked = BURST, -math.inf
         self._near = NearMagnets.of(self.robot, self.robot.n_readings)
@@ -206,16 +206,17 @@ class Follower:
         if alarm and self._burst <= 0 and t - self._looked < LOOK_S:
             u = np.where(self.said["left_out"], np.nan, u)
             self._inner, found = self.estimator.step(self._inner, u, t)
-            C: Any = found.covariance
             more = {name: self.said[name] for name in SAID}
-            found = found._replace(covariance=self.said["growth"] * C, details=found.details | more)
+            found = found._replace(
+                covariance=self.said["growth"] * np.asarray(found.covariance), details=found.details | more
+            )
         else:
             self.state, found = self.monitor.step(self.state, u, t)
             self._inner, self.said, self._looked = self.state.inner, found.details, t
             self._burst = min(self._burst + (-1 if alarm else 1), BURST)
         if self._near is not None:
             self._near.q, found = found.q, found._replace(details=found.details | {"too_near": near})
-        total: Any = found.covariance
+        total = np.asarray(found.covariance)
         if self._shapes is not None and self._open is not None:
             width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
             away = self.robot.free_angles.difference(self._shapes, found.q) / width
@@ -533,12 +534,11 @@ def in_numbers(session: Session) -> tuple[str, ...]:
     if last is None or not np.isfinite(last[2].q).all():
         return ()
     found = last[2]
-    low: Any = robot.lower
     q, C = found.q, np.asarray(found.covariance)
     p, G = robot.tip_slopes(q)
     values, slopes = np.concatenate([p, q]), np.concatenate([G, np.eye(len(q))])
     sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
-    widths = np.concatenate([np.full(3, robot.length), robot.upper - low])
+    widths = np.concatenate([np.full(3, robot.length), np.asarray(robot.upper) - np.asarray(robot.lower)])
     units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
     units += units_of(robot)
     said = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -113,9 +113,9 @@ class Steps:
         self._table: Table | None = None  # without rows
         self._columns: Columns | None = None
         self._seen: list[Array] = []  # the first rows, by which orientations are checked
-        self._sent: Any = None  # time of the last sample
+        self._sent: float | None = None  # time of the last sample
         self._before: tuple[float, float] | None = None  # time and arrival of the step before [s]
-        self._tick: tuple[float, int | None] = (
+        self._tick: tuple[float, float | None] = (
             0.0,
             None,
         )  # when the board's clock changed last: time [s], clock [µs]
@@ -176,7 +176,7 @@ class Steps:
             except InputError as error:
                 self.remarks.insert(0, str(error))
 
-    def _put(self, sample: Sample, sent: Any) -> list[tuple[Array, Any]]:
+    def _put(self, sample: Sample, sent: float | None) -> list[tuple[Array, float | None]]:
         """Take the values of a sample and its time; return what is complete, with the time of its last sample."""
         stream, width = sample.stream, self._widths.get(sample.stream)
         expected = width or len(self._source.names) or len(sample.values)
@@ -210,7 +210,7 @@ class Steps:
     def _silent(self, stream: int) -> bool:
         return self._age[stream] > 2 * self._usual[stream]
 
-    def _row(self) -> tuple[Array, Any]:
+    def _row(self) -> tuple[Array, float | None]:
         parts = [np.full(n, np.nan) if self._silent(k) else self._values[k] for k, n in self._widths.items()]
         self._age = {stream: age + 1 for stream, age in self._age.items()}
         self._fresh, self._order = set(), None
@@ -238,7 +238,7 @@ class Steps:
         self.remarks[:0] = words
         return table
 
-    def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:
+    def _when(self, sent_us: Sequence[float | None], arrived_s: float) -> list[float]:
         """Return the times of steps that arrived together: they increase, whatever the clocks do."""
         n, steps, found = len(sent_us), self.counters["steps"], []
         usual_s = 1.0 / (self._robot.rate_hz or 100.0)

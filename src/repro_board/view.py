@@ -23,15 +23,16 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, MutableSequence
+from collections.abc import Awaitable, Callable, MutableSequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tornado import httpserver, iostream, web
 
-from repro.chain import ConstantCurvature, point_on
+from repro.chain import ConstantCurvature, Place, point_on
 from repro.common import Array, bad_input, numbers, require
 from repro.estimators.base import Estimate, evenly
 from repro.robot import Robot
@@ -41,11 +42,14 @@ MOST_FRAMES, POINTS = 300, 9
 COLOURS = {"truth": "#1A1A1A", "estimate": "#D55E00", "magnets": "#009E73", "sensors": "#0072B2"}
 
 
+Json = dict[str, Any]
+
+
 @dataclass(frozen=True, repr=False)
 class View:
     """What the viewer takes; lengths in mm. See ``page/viewer.js`` for its fields."""
 
-    data: dict[str, Any]
+    data: Json
     curves: dict[str, Array]
     """Backbones [mm] of the frame that is shown first, for the picture."""
 
@@ -81,13 +85,13 @@ class View:
 
 def view(
     robot: Robot,
-    q: Any,
-    times: Any,
+    q: ArrayLike,
+    times: ArrayLike,
     label: str,
     *,
-    estimate: Any = None,
-    covariance: Any = None,
-    readings: Any = None,
+    estimate: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    readings: ArrayLike | None = None,
     unit: str = "mT",
     frames: int = 75,
 ) -> View:
@@ -138,7 +142,7 @@ def view(
     if covariance is not None and estimate is None:
         names = {"estimate": "q"}
     curves = {role: 1e3 * robot.poses(kept[key], _along(robot))[..., :3, 3] for role, key in names.items()}
-    shapes: list[dict[str, Any]] = [
+    shapes: list[Json] = [
         {"name": role, "role": role, "points": _packed(curve, 0.1)} for role, curve in curves.items()
     ]
     if covariance is not None:
@@ -166,7 +170,7 @@ def view(
     return View(data, {role: curve[start] for role, curve in curves.items()})
 
 
-def _rows(value: Any, name: str, n: int) -> Array:
+def _rows(value: ArrayLike, name: str, n: int) -> Array:
     rows = numbers(value, name, "view", finite=name != "readings")
     require(len(rows) == n, name, "view", f"one row for each of {n} times", f"{len(rows)} rows")
     return rows
@@ -179,7 +183,7 @@ def _box(places: list[Array], radius: float) -> list[list[float]]:
     return [(points.min(0) - around).round(1).tolist(), (points.max(0) + around).round(1).tolist()]
 
 
-def _along(robot: Robot) -> list[Any]:
+def _along(robot: Robot) -> list[Place]:
     """Places along the backbone; where segments meet only one of the two."""
     return [
         point_on(k, share * segment.length)
@@ -196,7 +200,7 @@ def _deviations(robot: Robot, q: Array, covariance: Array) -> str:
     return _packed(1e3 * np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0)), 0.01)
 
 
-def _trace(u: Array, unit: str) -> dict[str, Any]:
+def _trace(u: Array, unit: str) -> Json:
     values = [[float(f"{x:.4g}") if np.isfinite(x) else None for x in column] for column in u.T]
     series = [{"name": f"u{subscript(j)}", "values": column} for j, column in enumerate(values, 1)]
     return {"title": "readings", "unit": unit, "series": series}
@@ -240,7 +244,7 @@ class Moment(NamedTuple):
     age_s: float
     last: tuple[float, Array, Array] | None
     """Time [s], readings, and these less what the estimate predicts, in units of the noise."""
-    shape: Mapping[str, Any] | None
+    shape: Json | None
     """What the viewer of the page draws; None where there is no page."""
 
 
@@ -308,9 +312,6 @@ MOST_PAGES = 5
 """A browser has six connections to an address; by the sixth it hears that there is no room."""
 
 
-Json = dict[str, Any]
-
-
 class PageServer:
     """A server for the pages of one session; use it in a ``with`` statement. ``address`` is what to open."""
 
@@ -376,7 +377,7 @@ class PageServer:
             page.new.set()
 
 
-async def _within(work: Any, seconds: float) -> bool:
+async def _within(work: Awaitable[object], seconds: float) -> bool:
     """Return whether something was done in time."""
     try:
         await asyncio.wait_for(work, seconds)
@@ -412,7 +413,7 @@ class _File(web.RequestHandler):
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self.server.token.encode())
 
-    def get(self) -> Any:
+    def get(self) -> Awaitable[None] | None:
         """Answer."""
         content, kind = self.server.contents.get(self.request.uri or "", (None, ""))
         if content is None:
