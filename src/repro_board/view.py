@@ -91,8 +91,6 @@ def view(
     *,
     estimate: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
-    readings: ArrayLike | None = None,
-    unit: str = "mT",
     frames: int = 75,
 ) -> View:
     """Show a robot over time, beginning at the frame where the tip of the estimate is farthest off.
@@ -112,8 +110,6 @@ def view(
     covariance
         Covariance ``[t, n_q, n_q]`` of the estimate, or of ``q`` if there is none: two standard deviations are drawn
         as a tube.
-    readings, unit
-        Readings ``[t, s]`` and their unit, drawn as lines below the picture; NaN leaves a gap.
     frames
         Most frames that are shown, at most 300.
 
@@ -135,7 +131,7 @@ def view(
         len(t) and (np.diff(t) > 0).all(), "times", owner, "increasing [s], at least one", f"{len(t)} times"
     )
     require(1 <= frames <= MOST_FRAMES, "frames", owner, f"1 to {MOST_FRAMES}", frames)
-    given = {"q": q, "estimate": estimate, "covariance": covariance, "readings": readings}
+    given = {"q": q, "estimate": estimate, "covariance": covariance}
     every = -(-len(t) // frames)
     kept = {name: _rows(x, name, len(t))[::every] for name, x in given.items() if x is not None}
     names = {"truth": "q", "estimate": "estimate"} if estimate is not None else {"truth": "q"}
@@ -165,13 +161,12 @@ def view(
             name: {"points": _packed(1e3 * T[..., :3, 3], 0.1), "directions": _packed(T[..., :3, 2], 1e-4)}
             for name, T in poses.items()
         },
-        "traces": [] if readings is None else [_trace(kept["readings"], unit)],
     }
     return View(data, {role: curve[start] for role, curve in curves.items()})
 
 
 def _rows(value: ArrayLike, name: str, n: int) -> Array:
-    rows = numbers(value, name, "view", finite=name != "readings")
+    rows = numbers(value, name, "view")
     require(len(rows) == n, name, "view", f"one row for each of {n} times", f"{len(rows)} rows")
     return rows
 
@@ -198,17 +193,6 @@ def _deviations(robot: Robot, q: Array, covariance: Array) -> str:
     slopes = twists[..., 3:] + np.cross(twists[..., :3], T[..., None, :3, 3])
     spread = np.einsum("tkci,tcd,tkdj->tkij", slopes, covariance, slopes)
     return _packed(1e3 * np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., -1], 0.0)), 0.01)
-
-
-def _trace(u: Array, unit: str) -> Json:
-    values = [[float(f"{x:.4g}") if np.isfinite(x) else None for x in column] for column in u.T]
-    series = [{"name": f"u{subscript(j)}", "values": column} for j, column in enumerate(values, 1)]
-    return {"title": "readings", "unit": unit, "series": series}
-
-
-def subscript(number: int) -> str:
-    """Return a number as it stands below a line."""
-    return str(number).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
 
 
 def _packed(values: Array, quantum: float) -> str:

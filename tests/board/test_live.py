@@ -3,7 +3,6 @@
 import asyncio
 import http.client
 import io
-import itertools
 import json
 import math
 import os
@@ -18,7 +17,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
@@ -43,7 +41,7 @@ from repro_board.session import (
     summary,
 )
 from repro_board.view import FILES, MOST_PAGES, PageServer, message
-from repro_board.wire import encode, text_line
+from repro_board.wire import encode
 from tests.board.waiting import until
 
 RATE_HZ = 1000.0
@@ -151,24 +149,6 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     assert 0 < min(session.latencies) <= np.median(session.latencies) < 0.1
     assert min(np.diff(made)) >= MOMENT_S * 0.99
     assert 8 < len(made) <= 1 / MOMENT_S
-
-
-def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp_path, monkeypatch):
-    """It goes back and forth by an hour whenever somebody looks at it."""
-    board, name = wire
-    real, looks = time.time_ns, itertools.count()
-    port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
-    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9 * (next(looks) % 2))
-    session = Session(Follower(ROBOT), port, "csv")
-    session.record = writer.take
-    thread = play(board, [text_line(row, "csv") for row in U[:30]], 0.01)
-    session.run(0.6)
-    thread.join()
-    port.close()
-    writer.close()
-    found = read_recording(tmp_path / "a.rec")
-    assert len(found.samples) >= 25
-    assert max(np.ptp(found.arrived), np.ptp(found.times)) < 2
 
 
 def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session(tmp_path):
@@ -348,23 +328,6 @@ def test_a_remark_of_the_past_explains_no_fault_of_now():
     assert after(bytes(range(1, 256))).startswith("Bytes arrive, but no readings. Is --baud")
     assert after(encode(U[0], 3, 2)) == f"What arrives does not fit this robot. {other}"
     assert noted(session) == [other]
-
-
-def test_imus_are_followed_and_a_silent_one_is_named():
-    imus = [repro.Imu(1, at, channels=k) for k, at in enumerate((0.03, 0.06, 0.09), 1)]
-    robot = Robot(
-        ROBOT.segments[:1], imus=imus, lower=[-0.03, -0.03, 0.0], upper=[0.03, 0.03, 0.0], noise=0.01
-    )
-    q = np.array([0.01, -0.005, 0.0])
-    turns = Rotation.from_matrix(robot.poses(q, [imu.place for imu in imus])[:, :3, :3]).as_quat()
-    rng, frames = np.random.default_rng(0), []
-    for k in range(60):
-        noisy = (Rotation.from_quat(turns) * Rotation.from_rotvec(0.01 * rng.normal(size=(3, 3)))).as_quat()
-        senders = [1, 2, 3] if k < 30 else [1, 2]
-        frames += [encode(noisy[i - 1], i, k, 10_000 * k + 100 * i) for i in senders]
-    session = session_of(frames, robot=robot, name="kalman")
-    assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
-    assert said(session) == ["There is no reading of imu 3; it is left out."]
 
 
 def test_a_slow_board_is_not_taken_for_a_silent_one():
@@ -630,19 +593,6 @@ def test_a_message_names_the_suspect_and_is_json():
     assert abs(told["residuals"][2]) > 100
     for case in ("nothing yet", "no chip", "undetermined", "all frozen"):
         json.dumps(message(CASES[case][0]().moment), allow_nan=False)
-
-
-def test_a_moment_stays_as_it_was_made_while_the_session_goes_on():
-    session = session_of(sent(U[:50]))
-    first = session.moment
-    told = json.dumps(message(first))
-    session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
-    session.moment = session.look()
-    assert json.dumps(message(first)) == told
-    assert (first.last[0] < 1, session.moment.last[0]) == (True, 9.0)
-    assert session.moment.numbers != first.numbers
-    with pytest.raises(AttributeError):
-        first.numbers = ()
 
 
 def test_a_moment_that_nothing_takes_the_place_of_is_old():

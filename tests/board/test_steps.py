@@ -141,19 +141,6 @@ def test_a_stream_for_imus_and_magnetic_sensors_at_once_is_refused():
         Steps(BOTH.replaced(imus=[Imu(1, 0.1, channels=0)]))
 
 
-def test_readings_are_those_of_a_table_with_the_same_columns():
-    world = [0.0, math.sin(0.3), 0.0, math.cos(0.3)]
-    robot = BOTH.replaced(imus=[Imu(1, 0.1, channels=7, world=world)])
-    rng = np.random.default_rng(0)
-    q = rng.normal(size=(20, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    u = rng.normal(size=20)
-    steps = Steps(robot)
-    samples = [x for k in range(20) for x in (sample(7, *q[k]), sample(0, u[k]))]
-    frame = pd.DataFrame({"u1_mT": u} | {f"q{axis}_7": q[:, k] for k, axis in enumerate("xyzw")})
-    np.testing.assert_array_equal([step.u for step in steps.feed(samples, 1.0)], robot.readings(frame))
-
-
 READ = Robot(
     [Link(0.1)],
     sensors=[Sensor(1, 0.05, 0.01, axes=3, range=5.0, resolution=0.5)],
@@ -234,14 +221,6 @@ def test_the_same_numbers_are_the_same_readings_whatever_brings_them(tmp_path_fa
     late = first - 1e-6 * (us - us[0])
     assert late.min() > -1e-9
     assert late.max() < 1e-9 or (np.diff(us) == 0).any()
-
-
-def test_frames_of_a_board_become_steps():
-    parser = Parser()
-    data = b"".join(encode([k, 2, 3], sequence=k, time_us=10_000 * k) for k in range(50))
-    steps = Steps(CHIP, source=parser).feed(parser.feed(data), 5.0)
-    assert [step.u[0] for step in steps] == list(range(50))
-    np.testing.assert_allclose(np.diff([step.time_s for step in steps]), 0.01, atol=1e-9)
 
 
 # ---- when it was ----

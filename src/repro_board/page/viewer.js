@@ -14,7 +14,6 @@
 //   widest               largest radius of a tube of deviations [mm]; any if not given
 //   zoom                 how many times nearer the eye is than where all of the floor is in the picture
 //   tallest              most pixels that the picture is high; 440 if not given
-//   traces               [{title, unit, series: [{name, values, estimate?}]}], one value per frame, null where missing
 // Many numbers arrive as base64 of 16-bit integers: tenths of a millimetre, or ten-thousandths of a direction.
 //
 // The handle: setFrame(i); update(frame), which draws one shape that is not part of `data` (fields as above, and in
@@ -28,7 +27,6 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { colours, onThemeChange } from "./colours.js";
 import css from "./style.css";
-import { createTraces, make, shown } from "./traces.js";
 
 const LENGTH_MM = 0.1; // unit of packed lengths
 const DIRECTION = 1e-4; // unit of packed directions
@@ -314,6 +312,20 @@ function unpacked(data) {
   });
 }
 
+/** A new element with attributes and content. */
+function make(name, attributes = {}, ...content) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  element.append(...content);
+  return element;
+}
+
+/** A number as a reader wants it: three digits, a real minus sign, a dash where there is none. */
+function shown(value) {
+  if (value === null || value === undefined) return "–";
+  return String(Number(value.toPrecision(3))).replace("-", "−");
+}
+
 /** The list of what has which colour, and how large a square of the floor is. */
 function legend(data, step) {
   const list = make("ul", { class: "shape-view-legend" });
@@ -345,7 +357,6 @@ export function mount(element, data) {
   let frame = null;
   let current = 0;
   let playing = 0; // number of the animation request, 0 when paused
-  let moveCursor = () => {};
 
   const reset = make("button", { type: "button" }, "Reset view");
   const bar = make("div", { class: "shape-view-bar" });
@@ -368,7 +379,6 @@ export function mount(element, data) {
     slider.value = current;
     slider.setAttribute("aria-valuetext", `${time[current].toFixed(2)} s of ${time.at(-1).toFixed(2)} s`);
     clock.textContent = `${time[current].toFixed(2)} s`;
-    moveCursor(current);
     scene.draw(frame);
   }
 
@@ -424,12 +434,6 @@ export function mount(element, data) {
     if (width) scene.resize(width, Math.round(Math.min(Math.max(0.62 * width, 240), data.tallest ?? 440)));
   });
 
-  if (data.traces?.length && time.length > 1) {
-    moveCursor = createTraces(view, data.traces, time, (fraction) => {
-      pause();
-      setFrame(frameBefore(time[0] + fraction * duration));
-    });
-  }
   const forgetTheme = onThemeChange(paint);
   if (frameAt) setFrame(data.start ?? 0);
   paint();
