@@ -119,11 +119,10 @@ def track(
     """
     from repro_board.evaluate import track_file
 
-    done = track_file(
+    return tell(track_file(
         readings, robot, output=output, calibration=calibration, estimator=estimator, smooth=smooth,
         failed=failed or (), rate_hz=rate,
-    )  # fmt: skip
-    return tell(done)
+    ))  # fmt: skip
 
 
 @app.command(group=ROBOT, sort_key=3)
@@ -222,11 +221,10 @@ def evaluate(
     """
     from repro_board.evaluate import evaluate_files
 
-    done = evaluate_files(
+    return tell(evaluate_files(
         readings, poses, robot, output, bodies=body or (), straight_s=straight_s, pose_noise_mm=pose_noise_mm,
         pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag, rate_hz=rate,
-    )  # fmt: skip
-    return tell(done)
+    ))  # fmt: skip
 
 
 @app.command(group=BOARD, sort_key=1)
@@ -332,11 +330,10 @@ def live(
     from repro_board import live as tool
 
     line = tool.Line(port, baud, format or None)
-    done = tool.live(
+    return tell(tool.live(
         line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,
         browser_socket=browser_socket if browser else None, duration_s=duration,
-    )  # fmt: skip
-    return tell(done)
+    ))  # fmt: skip
 
 
 @app.command(group=BOARD, sort_key=3)

@@ -91,7 +91,7 @@ def record(
             lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
             return Summary(
                 file.path if file.received else None, time.monotonic() - start, file.received, samples,
-                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
+                line.opened - 1, parser.format, {**parser.counters}, (*lost, *parser.remarks),
             )  # fmt: skip
 
         while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:

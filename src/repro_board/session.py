@@ -73,11 +73,6 @@ class Port:
         self.opened, self.lost = 1, ""
         self._wait_s = self._due = 0.0
 
-    @property
-    def reconnects(self) -> int:
-        """How often it was opened again."""
-        return self.opened - 1
-
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived; nothing after the time, or where the port had to be opened again."""
         try:

@@ -88,7 +88,7 @@ class Steps:
     >>> robot = repro.Robot([repro.Link(0.1)], imus=[repro.Imu(1, 0.05), repro.Imu(1, 0.1)])
     >>> steps = Steps(robot)
     >>> upright = np.array([0.0, 0.0, 0.0, 1.0])
-    >>> [len(steps.add(Sample(k, None, None, 0, upright), 0.1 * k)) for k in (1, 2, 1, 2)]
+    >>> [len(steps.feed([Sample(k, None, None, 0, upright)], 0.1 * k)) for k in (1, 2, 1, 2)]
     [0, 1, 0, 1]
     """
 
@@ -124,10 +124,6 @@ class Steps:
             1.0 / (robot.rate_hz or 100.0),
         )  # its steps, and how far apart such are
         self._first_s = 0.0
-
-    def add(self, sample: Sample, arrived_s: float) -> list[Step]:
-        """Take a sample and when it arrived [s]; return the steps that it completes."""
-        return self.feed([sample], arrived_s)
 
     def feed(self, samples: Sequence[Sample], arrived_s: float) -> list[Step]:
         """Take samples that arrived together [s]; return the steps that they complete.

@@ -398,7 +398,7 @@ def test_a_port_gives_what_a_board_sends_and_comes_back_after_it_was_lost(board)
     assert (port.opened, port.read(0.01)) == (1, b"")
     board.plug_in()
     until(lambda: port.read(0.05) == b"" and port.opened == 2)
-    assert (port.lost, port.reconnects) == ("", 1)
+    assert not port.lost
     board.send(b"again")
     assert port.read(1.0) == b"again"
     port.close()
