@@ -27,14 +27,14 @@ START_S = 60.0
 FRAME = len(encode([0.0, 0.5, -1.0]))
 RECORDER = """
 import sys
-from repro_board import record
-class Writer(record.Writer):
+from repro_board import live
+class Writer(live.Writer):
     def write(self, unix_ns, data):
         super().write(unix_ns, data)
         if data:
             print(self.received, flush=True)
-record.Writer = Writer
-record.record(sys.argv[1], sys.argv[2])
+live.Writer = Writer
+live.record(sys.argv[1], sys.argv[2])
 """
 
 

@@ -11,6 +11,7 @@ import itertools
 import resource
 import sys
 import time
+from collections import deque
 from contextlib import closing
 from pathlib import Path
 
@@ -18,8 +19,7 @@ import numpy as np
 
 import repro
 from repro_board.emulate import Emulator, board_bytes
-from repro_board.live import Follower, Session
-from repro_board.record import open_port
+from repro_board.session import Follower, Session, open_port
 from repro_board.steps import Steps
 from repro_board.wire import Parser
 
@@ -35,9 +35,9 @@ def through_a_port(minutes: float, estimator: str = "") -> bool:
     follower.warm()
     with Emulator(board_bytes(robot, rate_hz=1000), 0) as board, closing(open_port(board.address)) as port:
         session = Session(follower, port)
-        delays: list[float] = []
-        session.each = lambda _: delays.append(session.latencies[-1])
+        session.latencies = deque()  # all of them
         session.run(60 * minutes)
+    delays = [*session.latencies]
     p50, p99 = 1e3 * np.percentile(delays[1000:], [50, 99])
     counters = session.counters()
     print(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from repro.common import Array, bad_input, require
 from repro.estimators.calibration import Calibration, calibrate
 from repro.estimators.drift import Drift, Drifting, DriftModel
+from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
 from repro.estimators.least_squares import LevenbergMarquardt
 from repro.estimators.track import track
 from repro.parts import Imu
@@ -23,8 +23,9 @@ from repro_board.cleaning import SPIKE, alike, orientations, unwrapped
 TOLERANCES = Tolerances(sensor_gain=0.05, sensor_offset=0.5, earth=0.05)
 """How far a robot may be from its file, where the file states nothing."""
 _MOST_POSES = 150
-_MODEL_ERROR, _MOST_ROWS, _ROUNDS = 0.003, 4000, 40
-"""Without poses: share of a reading that its model is off; rows that are used, and most rounds."""
+_MODEL_ERROR, _MOST_ROWS, _ROUNDS, _SETTLED, _DAMPING = 0.003, 4000, 40, 1e-3, 1e-5
+"""Without poses: share of a reading that its model is off; rows that are used, most rounds, the share of what was
+assumed below which a step is the last, and the least damping."""
 _CAUSES = (
     "parts that are not where the file says, which poses would tell; axes exchanged or of the wrong sign; another "
     "unit or robot; iron or magnets nearby"
@@ -82,134 +83,87 @@ def _mounted(robot: Robot, k: int, q: Array, u: Array, known: Array) -> tuple[Im
     return replace(imu, orientation=mounted), said
 
 
-class _Motion(NamedTuple):
-    """Readings ``[t, s]`` of a robot in motion, and a model with its errors behind its coordinates."""
-
-    robot: Robot
-    model: DriftModel
-    method: LevenbergMarquardt
-    u: Array
-    noise: Array
-    start: Array
-    """Standard deviations of the errors before."""
-
-
-class _Rows(NamedTuple):
-    """The shapes ``[t, n_q]`` that fit best at some errors, and what they leave."""
-
-    q: Array
-    residuals: Array
-    slopes: Array
-    held: Array
-    """Which coordinates are at a bound."""
-    fit: Array
-    weight: Array
-    """Chi-square per degree of freedom of each row, and how many of these it has."""
-
-    def cost(self, gate: float) -> float:
-        return float((self.weight * np.minimum(self.fit, gate)).sum())
-
-
-class _Fitted(NamedTuple):
-    errors: Array
-    information: Array
-    fit: Array
-    gate: float
-    """Rows that fit worse are spikes or failures."""
-    before: float
-
-
 def by_motion(robot: Robot, u: Array) -> tuple[Calibration, str]:
     r"""Find moments, gains and offsets while the robot moves: least squares over all rows, the shapes eliminated.
 
     Every row has a shape of its own, so only what no shape explains tells anything of the errors. A Kalman filter
     with the same errors in its state takes the smoothness of the motion for knowledge and states far too little.
     """
-    motion, one_moment = _in_motion(robot, u), len({magnet.shape for magnet in robot.magnets}) == 1
-    fitted, start = _fitted(motion), motion.start
-    spread, changes = (
-        max(1.0, float(np.median(fitted.fit))),
-        _parameters(robot, motion.model.names, one_moment),
-    )
-    rows, prior = np.array(list(changes.values())), np.diag(start**-2)
-    estimate, tolerance = rows @ fitted.errors, np.sqrt(np.square(rows) @ start**2)
+    motion = _Motion(robot, u)
+    start = motion.start
+    fitted = gauss_newton(motion.trial, start**-2, iterations=_ROUNDS, tolerance=_SETTLED, damping=_DAMPING)
+    spread, before = max(1.0, _typical(fitted.last)), _typical(fitted.first)
+    changes, prior = _parameters(robot, motion.model.names), np.diag(start**-2)
+    rows = np.array(list(changes.values()))
+    estimate, tolerance = rows @ fitted.z, np.sqrt(np.square(rows) @ start**2)
     C = rows @ np.linalg.inv((fitted.information - prior) / spread + prior) @ rows.T
     C = C / np.outer(tolerance, tolerance)
     _judge(list(changes), np.abs(estimate) / tolerance, spread)
     moved = placed(robot, dict(zip(changes, estimate.tolist(), strict=True)))
-    quality = (spread, len(motion.u), math.sqrt(fitted.before), math.sqrt(spread))
+    quality = (spread, len(motion.u), math.sqrt(before), math.sqrt(spread))
     exact = np.zeros([sum(sensor.axes for sensor in robot.sensors)] * 2)
     deviation = np.sqrt(np.diag(C)) * tolerance
     found = Calibration(moved, robot, tuple(changes), estimate, deviation, tolerance, C, *quality, exact)
-    return found, _told(found, len(motion.u), int((fitted.fit > fitted.gate).sum()))
+    return found, _told(found, len(motion.u), int((fitted.last.details > motion.gate).sum()))
 
 
-def _in_motion(robot: Robot, u: Array) -> _Motion:
-    owner = "repro calibrate --self"
-    fits = robot.magnets and robot.sensors and robot.model is None
-    require(fits, "robot", owner, "one with magnets and sensors, and without networks", "another")
-    shared = len({magnet.shape for magnet in robot.magnets}) == 1
-    drifts = [Drift("moment", 0.05, shared=shared), Drift("gain", 0.05), Drift("offset", 0.5)]
-    drifts += [Drift("heading", 0.2), Drift("tilt", 0.1)] if robot.imus else []  # found, and forgotten
-    stated: Any = (robot.total_noise, robot.lower, robot.upper)
-    model = DriftModel(Drifting(robot.sensing(), drifts), stated[1], stated[2], owner)
-    u, start = u[:: 1 + len(u) // _MOST_ROWS], model.states[0]
-    # The model and the places of parts are no better than a share of the reading.
-    size = np.sqrt(np.nanmean(np.square(u), axis=0)) * (np.arange(u.shape[1]) < model.n_hall)
-    noise = np.hypot(stated[0], _MODEL_ERROR * size)
-    lower, upper = (np.concatenate([x, c * start]) for x, c in zip(stated[1:], (-1e3, 1e3), strict=True))
-    return _Motion(robot, model, LevenbergMarquardt(model, lower, upper, noise), u, noise, start)
+class _Motion:
+    """Readings ``[t, s]`` of a robot in motion, and a model with its errors behind its coordinates."""
+
+    def __init__(self, robot: Robot, u: Array) -> None:
+        owner = "repro calibrate --self"
+        fits = robot.magnets and robot.sensors and robot.model is None
+        require(fits, "robot", owner, "one with magnets and sensors, and without networks", "another")
+        drifts = [Drift("moment", 0.05, shared=_alike(robot)), Drift("gain", 0.05), Drift("offset", 0.5)]
+        drifts += [Drift("heading", 0.2), Drift("tilt", 0.1)] if robot.imus else []  # found, and forgotten
+        self.lower, self.upper, stated = (
+            np.asarray(x) for x in (robot.lower, robot.upper, robot.total_noise)
+        )
+        self.model = DriftModel(Drifting(robot.sensing(), drifts), self.lower, self.upper, owner)
+        self.u, self.start = u[:: 1 + len(u) // _MOST_ROWS], self.model.states[0]
+        # The model and the places of parts are no better than a share of the reading.
+        size = np.sqrt(np.nanmean(np.square(self.u), axis=0)) * (np.arange(u.shape[1]) < self.model.n_hall)
+        self.noise = np.hypot(stated, _MODEL_ERROR * size)
+        far = 1e3 * self.start
+        low, high = np.concatenate([self.lower, -far]), np.concatenate([self.upper, far])
+        self.method = LevenbergMarquardt(self.model, low, high, self.noise)
+        self.q = track(LevenbergMarquardt(robot, noise=self.noise), self.u, rate_hz=1.0, monitor=None).q
+        self.gate = math.inf
+        """The shapes of the errors that were taken last; rows that fit worse than the gate are spikes or failures."""
+
+    def trial(self, errors: Array) -> Trial:
+        """Try errors, with the shapes that fit best then; the details are chi-square per degree of freedom by row."""
+        n, all_errors = self.q.shape[1], np.tile(errors, (len(self.q), 1))
+        known = np.concatenate([np.full(self.q.shape, np.nan), all_errors], axis=1)
+        state = self.method.init(np.concatenate([self.q, all_errors], axis=1))
+        found = self.method.step(state, self.u, known=known)[1]
+        u_hat, J = self.model.linearise(found.q)
+        r = self.model.difference(self.u, u_hat) / self.noise
+        q = found.q[:, :n]
+        held = (q <= self.lower) | (q >= self.upper)
+        dof = np.maximum(np.isfinite(r).sum(1) - (~held).sum(1), 1)
+        fit = found.chi2 / dof
+
+        def cost() -> float:
+            return float((dof * np.minimum(fit, self.gate)).sum())
+
+        def equations() -> tuple[float, Array, Array]:
+            self.q, self.gate = q, SPIKE**2 * max(1.0, float(np.median(fit)))
+            use = np.isfinite(r) & (fit <= self.gate)[:, None]
+            K = np.where(use[..., None], J / self.noise[:, None], 0.0)
+            by_shape = np.where(held[:, None], 0.0, K[..., :n])
+            return cost(), *eliminated(K[..., n:], by_shape, np.where(use, r, 0.0), 1e-9)
+
+        return Trial(cost(), equations, fit)
 
 
-def _fitted(motion: _Motion) -> _Fitted:
-    robot, start = motion.robot, motion.start
-    q = track(LevenbergMarquardt(robot, noise=motion.noise), motion.u, rate_hz=1.0, monitor=None).q
-    theta, step, damping, best, before = 0 * start, 0 * start, 1e-3, math.inf, math.nan
-    prior, gate, fit = np.diag(start**-2), math.inf, np.ones(len(q))
-    H, g = prior, step
-    for _ in range(_ROUNDS):
-        rows = _at(motion, q, theta + step)
-        fit, penalty = rows.fit, float(np.square((theta + step) / start).sum())
-        typical = float(np.median(fit))
-        before = typical if math.isnan(before) else before
-        cost = rows.cost(gate) + penalty
-        if cost < best:
-            settled, theta, q, damping = best - cost < 1e-3, theta + step, rows.q, damping / 10
-            gate = SPIKE**2 * max(1.0, typical)
-            best = rows.cost(gate) + penalty
-            H, g = _equations(rows, gate)
-            H = H + prior
-            if settled:
-                break
-        else:
-            damping *= 10
-        step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g - theta / start**2)
-    return _Fitted(theta, H, fit, gate, before)
+def _typical(trial: Trial) -> float:
+    return float(np.median(trial.details))
 
 
-def _at(motion: _Motion, q: Array, errors: Array) -> _Rows:
-    """Return the shapes at some errors, found from those before."""
-    robot, errors = motion.robot, np.tile(errors, (len(q), 1))
-    known = np.concatenate([np.full(q.shape, np.nan), errors], axis=1)
-    state = motion.method.init(np.concatenate([q, errors], axis=1))
-    found = motion.method.step(state, motion.u, known=known)[1]
-    u_hat, J = motion.model.linearise(found.q)
-    r = motion.model.difference(motion.u, u_hat) / motion.noise
-    q = found.q[:, : robot.n_q]
-    held = (q <= robot.lower) | (q >= robot.upper)
-    fit = found.chi2 / np.maximum(np.isfinite(r).sum(1) - (~held).sum(1), 1)
-    return _Rows(q, r, J / motion.noise[:, None], held, fit, found.chi2 / np.maximum(fit, 1e-300))
-
-
-def _equations(rows: _Rows, gate: float) -> tuple[Array, Array]:
-    """Return the normal equations of the errors, the shape of each row eliminated; rows beyond the gate are none."""
-    n, r = rows.q.shape[1], np.nan_to_num(rows.residuals)
-    J = np.where(np.isfinite(rows.residuals)[..., None], rows.slopes, 0.0)
-    A, B = np.where(rows.held[:, None], 0.0, J[..., :n]), J[..., n:]
-    by_shape = np.linalg.pinv(np.swapaxes(A, 1, 2) @ A, rcond=1e-9, hermitian=True)
-    across = B - A @ (by_shape @ (np.swapaxes(A, 1, 2) @ B))
-    across = across * (rows.fit <= gate)[:, None, None]
-    return np.einsum("tsk,tsl->kl", across, across), np.einsum("tsk,ts->k", across, r)
+def _alike(robot: Robot) -> bool:
+    """Return whether all magnets are of one shape: then they have one error of their moments."""
+    return len({magnet.shape for magnet in robot.magnets}) == 1
 
 
 def _judge(names: Sequence[str], far: Array, spread: float) -> None:
@@ -234,9 +188,9 @@ def _told(found: Calibration, n: int, left_out: int) -> str:
     return "\n".join(lines)
 
 
-def _parameters(robot: Robot, errors: Sequence[str], alike: bool) -> dict[str, Array]:
+def _parameters(robot: Robot, errors: Sequence[str]) -> dict[str, Array]:
     """Return by how much every parameter of a calibration changes with the errors that a drift model has."""
-    rows, one = {}, dict(zip(errors, np.eye(len(errors)), strict=True))
+    rows, one, alike = {}, dict(zip(errors, np.eye(len(errors)), strict=True)), _alike(robot)
     for m in ["of all"] if alike else range(1, 1 + len(robot.magnets)):
         names = [f"moment A{2 * k + 1}" for k in range(robot.sensing().moments.shape[1])]
         rows |= {name if alike else f"magnet {m} {name}": one[f"moment {m}"] for name in names}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,8 +19,7 @@ def averaged(
     robot: Robot, t: Array, u: Array, windows: Array, where: Sequence[str]
 ) -> tuple[Array, list[str]]:
     """Return the mean readings of every held pose, NaN where there are none, and what was left out."""
-    stated: Any = robot.total_noise
-    means, spikes, moved, noise = [], [], [], np.nan_to_num(stated)
+    means, spikes, moved, noise = [], [], [], np.nan_to_num(np.asarray(robot.total_noise, dtype=float))
     for (begin, end), place in zip(windows, where, strict=True):
         rows = np.flatnonzero((t >= begin - 1e-9) & (t <= end + 1e-9))
         span = f"within the readings, {t[0]:g} to {t[-1]:g} s after the first"
@@ -91,12 +89,11 @@ def without_spikes(robot: Robot, q: Array, u: Array, t: Array, lines: list[str])
 
     Orientations are whole, or missing.
     """
-    noise: Any = robot.total_noise
     u, n = u.copy(), sum(sensor.axes for sensor in robot.sensors)
     drawn = robot.sensing()(q[np.isfinite(q).all(1)])[:, :n]
     off = np.abs(u[:, :n] - np.nanmedian(u[:, :n], axis=0))
     usual = np.maximum(SPIKE * 1.4826 * np.nanmedian(off, axis=0), 2 * np.ptp(drawn, axis=0))
-    far = off > np.maximum(usual, SPIKE * np.nan_to_num(noise)[:n])
+    far = off > np.maximum(usual, SPIKE * np.nan_to_num(np.asarray(robot.total_noise, dtype=float))[:n])
     u[:, :n][far] = np.nan
     if (rows := far.any(1)).any():
         when = some([f"{x:.2f} s" for x in t[rows & ~np.roll(rows, 1)]])

@@ -8,10 +8,10 @@ from __future__ import annotations
 import io
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
@@ -38,7 +38,7 @@ app = App(
 app["--help"].group = Group("Help", sort_key=9)
 
 
-def as_typed(_: Any, tokens: Sequence[Token]) -> list[tuple[str, str]]:
+def as_typed(_: object, tokens: Sequence[Token]) -> list[tuple[str, str]]:
     """Return names and values as they were typed: a value may start with a hyphen or look like JSON."""
     words = [token.value for token in tokens]
     return list(zip(words[::2], words[1::2], strict=True))
@@ -119,12 +119,10 @@ def track(
     """
     from repro_board.evaluate import track_file
 
-    done = track_file(
+    return tell(track_file(
         readings, robot, output=output, calibration=calibration, estimator=estimator, smooth=smooth,
         failed=failed or (), rate_hz=rate,
-    )  # fmt: skip
-    print(done)
-    return 0
+    ))  # fmt: skip
 
 
 @app.command(group=ROBOT, sort_key=3)
@@ -171,8 +169,7 @@ def calibrate(
         done = calibrate_files(
             readings, poses, robot, output, pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg, rate_hz=rate,
         )  # fmt: skip
-    print(done)
-    return 0
+    return tell(done)
 
 
 @app.command(group=ROBOT, sort_key=4)
@@ -224,12 +221,10 @@ def evaluate(
     """
     from repro_board.evaluate import evaluate_files
 
-    done = evaluate_files(
+    return tell(evaluate_files(
         readings, poses, robot, output, bodies=body or (), straight_s=straight_s, pose_noise_mm=pose_noise_mm,
         pose_noise_deg=pose_noise_deg, share=share, longest_lag_s=longest_lag, rate_hz=rate,
-    )  # fmt: skip
-    print(done)
-    return 0
+    ))  # fmt: skip
 
 
 @app.command(group=BOARD, sort_key=1)
@@ -264,10 +259,11 @@ def record(
     list_only
         Record nothing; list the ports.
     """
-    from repro_board import record as tool
+    from repro_board import live as tool
+    from repro_board.session import ports
 
     if list_only:
-        print(tool.ports())
+        print(ports())
         return 0
     require(port, "PORT", "repro record", "given (repro record --list shows them)", "none")
     if output is None:
@@ -331,15 +327,13 @@ def live(
     grown
         State every ± so many times as large, if repro evaluate finds the truth outside too often.
     """
-    from repro_board.live import live as follow
+    from repro_board import live as tool
 
-    done = follow(
-        port, robot, calibration=calibration, estimator=estimator, output=output, estimates=estimates,
-        browser=browser, browser_socket=browser_socket, failed=failed or (), baud=baud, duration_s=duration,
-        grown=grown, format=format or None,
-    )  # fmt: skip
-    print(done)
-    return 0
+    line = tool.Line(port, baud, format or None)
+    return tell(tool.live(
+        line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,
+        browser_socket=browser_socket if browser else None, duration_s=duration,
+    ))  # fmt: skip
 
 
 @app.command(group=BOARD, sort_key=3)
@@ -367,16 +361,12 @@ def export(
     estimates
         For mcap: a table that repro track or live wrote of this recording.
     """
-    from repro.robot_file import load_robot
     from repro_board.export import export as export_to
-    from repro_board.record import read_recording
 
-    described = None if robot is None else load_robot(robot)
-    read = read_recording(recording)
-    for remark in export_to(read, output, to=to, robot=described, estimates=estimates):
+    remarks, samples = export_to(recording, output, to=to, robot=robot, estimates=estimates)
+    for remark in remarks:
         print(remark, file=sys.stderr)
-    print(f"{output}  ({len(read.samples)} samples)")
-    return 0
+    return tell(f"{output}  ({samples} samples)")
 
 
 @app.command(group=BOARD, sort_key=4)
@@ -435,8 +425,14 @@ def emulate(
     )  # fmt: skip
 
 
+def tell(done: object) -> int:
+    """Print what a command did; return that all is well."""
+    print(done)
+    return 0
+
+
 @contextmanager
-def shown_in_place() -> Iterator[Any]:
+def shown_in_place() -> Iterator[Callable[[object], None] | None]:
     """Give what shows a state: in one place on a terminal, else not at all."""
     from rich.console import Console
     from rich.live import Live

@@ -16,15 +16,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
 from socket import create_server
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
 from repro_board.record import Recording, read_recording
+from repro_board.report import units_of
 from repro_board.wire import encode, text_line
 
 SPEED = 0.5
@@ -71,11 +72,11 @@ along x, and ``noise``, how many times larger it is than stated.
 """
 
 
-Faults = Mapping[str, Any] | Iterable[tuple[str, Any]]
+Faults = Mapping[str, object] | Iterable[tuple[str, object]]
 """Names and values."""
 
 
-def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
+def course(robot: Robot, times: ArrayLike, *, seed: int = 0) -> Array:
     r"""Return configurations ``[t, n_q]`` of a smooth motion between the bounds of a robot.
 
     Every coordinate is the sum of two sines, whose frequencies, shares and signs are random. The motion begins at
@@ -118,7 +119,13 @@ def course(robot: Robot, times: Any, *, seed: int = 0) -> Array:
     return middle + half * sign * sines.sum(axis=1)
 
 
-def faulty(readings: Any, fault: str, columns: Any, since: int = 0, size: Any = None) -> Array:
+def faulty(
+    readings: ArrayLike,
+    fault: str,
+    columns: int | Sequence[int] | Array,
+    since: int = 0,
+    size: Array | float | None = None,
+) -> Array:
     """Return readings of sensors that fail from one row on; the rows before stay as they are.
 
     ============ ==================================================================== ==========================
@@ -212,14 +219,11 @@ def held(poses: Array, hold_s: float, times: Array) -> Array:
 
 def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     """Write the table of poses that are held to a new file: coordinates, and from when until when it stands."""
-    units = [
-        ("mm", 1e3) if "delta" in name else ("deg", 180 / math.pi) if angle else ("rad", 1.0)
-        for name, angle in zip(robot.coordinates, robot.angles, strict=True)
-    ]
-    names = [f"{name}_{unit}" for name, (unit, _) in zip(robot.coordinates, units, strict=True)]
+    units = units_of(robot)
+    names = [f"{name}_{unit}" for name, unit, _ in units]
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)
-    table = np.hstack([poses * [factor for _, factor in units], windows])
+    table = np.hstack([poses * [factor for *_, factor in units], windows])
     with whole(path, "emulate") as part, part.open("w", encoding="utf-8") as file:
         np.savetxt(file, table, "%.6f", ",", header=",".join([*names, "start_s", "end_s"]), comments="")
 
@@ -296,7 +300,7 @@ def _blocks(
         yield times, u[1:]
 
 
-def _channels(robot: Robot) -> list[Any]:
+def _channels(robot: Robot) -> list[int | str | None]:
     """Return the channel of each value of stream 0, None where a sensor states none: all but IMUs with a stream."""
     found = [x for sensor in robot.sensors for x in sensor.channels or [None] * sensor.axes]
     return found + [x for imu in robot.imus if isinstance(imu.channels, list | tuple) for x in imu.channels]

@@ -11,9 +11,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from repro.check import mirrors_in_words
 from repro.common import Array, bad_input, require, whole
@@ -421,21 +422,23 @@ def _said(both: _Both, parts: _Parts, fitted: _Fitted, truth: Array) -> list[str
     return lines
 
 
-def _errors_in_words(table: Any) -> list[str]:
+def _errors_in_words(table: pd.DataFrame) -> list[str]:
     tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
     return [
         "Errors of the tip [mm], in how many rows the 95 % ellipsoid holds the measured tip [%], and how many",
         "times larger every ± must be for 95 % (grown; repro live --grown takes it):",
-        tip.to_string(index=False, float_format="{:.3g}".format, na_rep="-"),
+        tip.to_string(index=False, float_format="%.3g", na_rep="-"),
     ]
 
 
 def _write(
-    folder: Path, table: Any, shapes: Mapping[str, Trajectory], lines: list[str], known: Calibration | None
+    folder: Path,
+    table: pd.DataFrame,
+    shapes: Mapping[str, Trajectory],
+    lines: list[str],
+    known: Calibration | None,
 ) -> None:
     """Write the folder, which appears when it is complete."""
-    import pandas as pd
-
     frames, measured = {name: shape.to_frame() for name, shape in shapes.items()}, shapes["measured"]
     joined = pd.concat([frame.add_prefix(f"{name}: ") for name, frame in frames.items()], axis=1)
     files = {"errors.csv": csv(table), "estimates.csv": csv(joined), "report.txt": "\n".join(lines) + "\n"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from repro.common import bad_input, require, whole
+from repro.common import Array, bad_input, require, whole
 from repro.robot import Robot
 from repro.robot_file import load_robot
 from repro_board.record import Recording, read_recording, readings_of
@@ -20,19 +20,19 @@ _LATE_S, _LATE_SHARE = 1.0, 1e-3
 
 
 def export(
-    recording: Recording | str | Path,
+    path: str | Path,
     output: str | Path,
     *,
     to: str = "",
     robot: Robot | str | Path | None = None,
     estimates: str | Path | None = None,
-) -> list[str]:
-    """Write a recording as a new file, whole or not at all; return what a user should know.
+) -> tuple[list[str], int]:
+    """Write a recording as a new file, whole or not at all; return what a user should know, and the samples' number.
 
     Parameters
     ----------
-    recording
-        As it was read, or its path.
+    path
+        Of the recording.
     output
         A new file.
     to
@@ -56,8 +56,7 @@ def export(
     )
     require(estimates is None or form == "mcap", "estimates", "the export", "left out, but for mcap", form)
     require(not output.exists(), "output", "the export", "a new file", output)
-    if not isinstance(recording, Recording):
-        recording = read_recording(recording)
+    recording = read_recording(path)
     robot = load_robot(robot) if isinstance(robot, str | Path) else robot
     table, remarks = table_of(recording, robot)
     estimated = None if estimates is None else _estimates(Path(estimates), float(recording.times[-1]))
@@ -72,10 +71,10 @@ def export(
                 raise bad_input("to", "the export", must, form) from error
         else:
             _write_mcap(part, recording, table, estimated)
-    return remarks
+    return remarks, len(recording.samples)
 
 
-def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, list[str]]:
+def table_of(recording: Recording, robot: Robot | None = None) -> tuple[pd.DataFrame, list[str]]:
     """Return a data frame of a recording and its remarks.
 
     It has ``time_s`` from the first sample, ``unix_s``, ``board_s`` by the clock of the board where it sends one, and
@@ -83,8 +82,6 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, lis
     sample: ``stream``, ``sequence`` where the board sends it, and the values by the names and units that the board
     sends, else u1, u2 and so on.
     """
-    import pandas as pd
-
     require(len(recording.samples), "recording", recording.path.name, "one with samples", "none")
     if robot is not None:
         readings = readings_of(robot, recording)
@@ -111,9 +108,9 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[Any, lis
     return pd.DataFrame(columns | dict(zip(names, values.T, strict=True))), remarks
 
 
-def _clocks(recording: Recording, times: Any) -> dict[str, Any]:
+def _clocks(recording: Recording, times: Array) -> dict[str, Array]:
     """Return times of a recording by all clocks."""
-    columns: dict[str, Any] = {"time_s": times.round(9), "unix_s": recording.unix_s + times}
+    columns = {"time_s": times.round(9), "unix_s": recording.unix_s + times}
     board_us = [sample.time_us for sample in recording.samples]
     if None not in board_us:
         nearest = np.rint(np.interp(times, recording.times, np.arange(len(board_us)))).astype(int)
@@ -121,9 +118,7 @@ def _clocks(recording: Recording, times: Any) -> dict[str, Any]:
     return columns
 
 
-def _estimates(path: Path, last_s: float) -> Any:
-    import pandas as pd
-
+def _estimates(path: Path, last_s: float) -> pd.DataFrame:
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
@@ -137,10 +132,12 @@ def _estimates(path: Path, last_s: float) -> Any:
     return table
 
 
-def _write_mcap(path: Path, recording: Recording, table: Any, estimates: Any) -> None:
+def _write_mcap(
+    path: Path, recording: Recording, table: pd.DataFrame, estimates: pd.DataFrame | None
+) -> None:
     from mcap.writer import Writer
 
-    several = "stream" in table and table["stream"].nunique() > 1
+    several = "stream" in table and bool(table["stream"].nunique() > 1)
     topics = {"/estimate": estimates} if estimates is not None else {}
     for stream, part in table.groupby("stream" if several else np.zeros(len(table))):
         topics[f"/readings/{stream}" if several else "/readings"] = part

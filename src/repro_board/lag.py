@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.fft import next_fast_len
 
 from repro.common import Array, bad_input, numbers, require
 from repro.robot import Robot
+from repro.sensing import Sensing
 from repro_board.cleaning import without_spikes
 
 GAP_STEPS = 2.5
@@ -34,7 +36,7 @@ class Lag(NamedTuple):
     """The least residual at any lag that is not next to the best one."""
 
 
-def search_lag(motion: Any, readings: Any, rate_hz: float, longest_s: float = math.inf) -> Lag:
+def search_lag(motion: ArrayLike, readings: ArrayLike, rate_hz: float, longest_s: float = math.inf) -> Lag:
     """Find the lag between readings and a motion, over the whole recording.
 
     The readings of an instant are a smooth function of the shape. So we fit them by a quadratic function of the
@@ -181,7 +183,7 @@ def clock_lag(motion: Signal, readings: Signal, longest_s: float) -> float:
     return found.lag_s
 
 
-def fine_lag(sensing: Any, motion: Signal, t: Array, u: Array, near: float) -> tuple[float, float]:
+def fine_lag(sensing: Sensing, motion: Signal, t: Array, u: Array, near: float) -> tuple[float, float]:
     """Return the lag at which a calibrated robot predicts the readings best, and its standard deviation [s].
 
     Twelve blocks of time, which tell equally much, have a lag each; the median hardly moves with a bad one.

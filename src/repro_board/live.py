@@ -1,326 +1,115 @@
-"""A robot followed live: bytes from a port become time steps, estimates, and what a person should know of them.
-
-One thread reads the port and writes the recording, which has every byte. The session parses and estimates in a thread
-of its own. If it falls behind, it estimates the newest time step and counts those that it leaves out. What other
-threads tell it comes through its inbox; what they may show of it is its moment, which it replaces 20 times a second.
-"""
+"""What commands do at a port: ``record`` writes all that comes, ``live`` follows a robot and shows it."""
 
 from __future__ import annotations
 
-import gc
 import math
-import queue
-import sys
+import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
+from rich.columns import Columns
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
 
-from repro.common import Array, InputError, bad_input, require, whole
-from repro.estimators.base import Estimate, NearMagnets, evenly
-from repro.estimators.calibration import Calibration, load_calibration
-from repro.estimators.monitor import INCONSISTENT, LEFT_OUT, SAID, Monitor
+import repro
+from repro.common import InputError, bad_input, require, whole
+from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
-from repro.robot import Robot
 from repro.robot_file import load_robot
-from repro_board.evaluate import ESTIMATORS, estimator_of
-from repro_board.record import Port, Writer, open_port, stopping
-from repro_board.steps import Step, Steps
+from repro_board.record import Writer
+from repro_board.session import Follower, Session, notes, open_port, summary
+from repro_board.view import Moment, PageServer, Row
 from repro_board.wire import Parser
-from repro_board.words import SILENT_S, Facts, Moment, Row, moment, notes, summary, suspects
-
-BURST, LOOK_S, SHAPES = 64, 0.05, 200
-"""Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
-what a calibration left open is known beforehand."""
-BEHIND_S = 0.1
-"""A time step that has waited longer [s] is left out if there is a newer one."""
-WINDOW_S, SAMPLE_S, MOMENT_S = 2.0, 0.25, 0.05
-"""What counts as happening now, how often counts are kept for that, and time between two moments [s]."""
-SWITCH_S = 5e-4
-"""After this time a thread lets another one work [s]; the usual 5 ms are longer than an estimate takes."""
 
 
-class Follower:
-    """An estimator and its monitor. A long alarm costs little more than none.
+class Summary(NamedTuple):
+    """What `record` has done so far, or in the end; ``path`` is None where there is no file."""
 
-    In an alarm the monitor fits the readings without each part in turn, which takes as long as ten to thirty
-    estimates. After ``BURST`` rows it does so every ``LOOK_S``. The rows between are estimated without the readings
-    that it left out last.
+    path: Path | None
+    seconds: float
+    received: int
+    samples: int
+    reconnects: int
+    format: str | None
+    counters: dict[str, int]
+    remarks: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return a line of numbers, and one for each remark."""
+        counted = {"reconnects": self.reconnects} | self.counters
+        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
+        rate = f"{self.samples} samples of {self.format or 'no known format'}"
+        rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
+        numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
+        return "\n".join([", ".join(numbers), *self.remarks])
+
+
+@contextmanager
+def stopping(stop: threading.Event) -> Iterator[None]:
+    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
+    main = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def record(
+    port: str,
+    path: str | Path,
+    *,
+    baud: int = 115200,
+    duration_s: float = math.inf,
+    format: str | None = None,
+    channels: int | None = None,
+    stop: threading.Event | None = None,
+    show: Callable[[Summary], None] | None = None,
+) -> Summary:
+    """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
+
+    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
     """
+    require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
+    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
+    about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
+    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
+        start = time.monotonic()
+        opened, shown = line.opened, start
 
-    def __init__(
-        self,
-        robot: Robot,
-        name: str = "",
-        failed: Sequence[int | str] = (),
-        grown: float = 1.0,
-        calibration: Calibration | None = None,
-    ) -> None:
-        owner = "live"
-        self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
-        require(0 < grown < math.inf, "grown", owner, "positive", grown)
-        self.robot, self.failed, self.grown = robot, [robot.part(x, owner) for x in failed], grown
-        self._shapes = self._open = None
-        if calibration is not None:  # what it left open, in shapes between which it hardly changes
-            self._shapes = evenly(np.asarray(robot.lower), np.asarray(robot.upper), SHAPES)
-            self._open = calibration.lasting_covariance(self._shapes)
-        self.monitor = Monitor(self.estimator)
-        self._unused = np.isin(robot.parts, self.failed)
-        self.begin()
+        def state() -> Summary:
+            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
+            return Summary(
+                file.path if file.received else None, time.monotonic() - start, file.received, samples,
+                line.opened - 1, parser.format, {**parser.counters}, (*lost, *parser.remarks),
+            )  # fmt: skip
 
-    def begin(self) -> None:
-        """Forget everything."""
-        self.state: Any = self.monitor.init()
-        self.said: Mapping[str, Any] = {"status": 0}
-        self._inner: Any = None
-        self._burst, self._looked = BURST, -math.inf
-        self._near = NearMagnets.of(self.robot, self.robot.n_readings)
-
-    def warm(self) -> None:
-        """Compile and load what an estimate or an alarm needs, so that no reading waits for it."""
-        q, robot = self.robot.start, self.robot
-        if q is None and robot.lower is not None and robot.upper is not None:
-            q = (robot.lower + robot.upper) / 2
-        u = np.asarray(robot.sensing()(np.zeros(robot.n_q) if q is None else q)).ravel()
-        for k in range(30):
-            self.step(
-                u + 1e-6 * k * np.arange(len(u)) + 100.0 * (k >= 10) * (np.arange(len(u)) == 0), 0.01 * k
-            )
-        self.begin()
-
-    def step(self, u: Array, t: float) -> Estimate:
-        """Estimate a time step."""
-        near = np.zeros(len(u), dtype=bool) if self._near is None else self._near.readings()
-        u = np.where(self._unused | near, np.nan, u)
-        alarm = self.said["status"] in (LEFT_OUT, INCONSISTENT)
-        if alarm and self._burst <= 0 and t - self._looked < LOOK_S:
-            u = np.where(self.said["left_out"], np.nan, u)
-            self._inner, found = self.estimator.step(self._inner, u, t)
-            C: Any = found.covariance
-            more = {name: self.said[name] for name in SAID}
-            found = found._replace(covariance=self.said["growth"] * C, details=found.details | more)
-        else:
-            self.state, found = self.monitor.step(self.state, u, t)
-            self._inner, self.said, self._looked = self.state.inner, found.details, t
-            self._burst = min(self._burst + (-1 if alarm else 1), BURST)
-        if self._near is not None:
-            self._near.q, found = found.q, found._replace(details=found.details | {"too_near": near})
-        total: Any = found.covariance
-        if self._shapes is not None and self._open is not None:
-            width = np.where(self.robot.fixed, 1.0, np.ptp(self._shapes, axis=0))
-            away = self.robot.free_angles.difference(self._shapes, found.q) / width
-            total = total + self._open[np.square(away).sum(axis=1).argmin()]
-        return found._replace(covariance=self.grown**2 * total)
-
-    def suspects(self, found: Estimate | None) -> list[int]:
-        """Return the parts that the monitor names."""
-        return list(suspects(found))
+        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
+            data, before = line.read(min(0.1, left)), opened
+            opened = line.opened
+            file.take(data, opened > before)
+            if opened > before:
+                parser.reopened()
+            samples += len(parser.feed(data))
+            if show and time.monotonic() >= shown + 1:
+                shown = time.monotonic()
+                show(state())
+        file.close(state()._asdict() | {"path": None})
+        return state()
 
 
-class PortState(NamedTuple):
-    """What a port has become: whether it was opened again, and why it is away, if it is."""
-
-    again: bool
-    lost: str
-
-
-Item = bytes | PortState | str | BaseException
-
-
-class Session:
-    """A port with its parser and estimator.
-
-    Other threads put into ``inbox`` what they have (bytes, a state of the port, which view has failed, an error that
-    ends the session), and show ``moment``. Everything else is the session's own.
-    """
-
-    def __init__(
-        self,
-        follower: Follower,
-        port: Port,
-        writer: Writer | None = None,
-        format: str | None = None,
-        *,
-        with_shape: bool = False,
-    ) -> None:
-        self.follower, self.port, self.writer, self.with_shape = follower, port, writer, with_shape
-        self.robot, source = follower.robot, follower.robot.source
-        self.parser = Parser(format or (source.stream.get("format") if source else None))
-        self.steps = Steps(self.robot, source=self.parser)
-        self.stop, self.inbox = threading.Event(), queue.SimpleQueue[tuple[float, Item]]()
-        self.remarks: dict[str, float] = {}  # and when each was made last
-        self.each: Callable[[Row], None] = lambda _: None
-        self.pending = deque[tuple[float, Step]]()
-        self.last: Row | None = None
-        self.began = self.heard = self.estimated_at = time.monotonic()
-        self.own = {"bytes": 0, "time_steps": 0, "estimates": 0, "skipped": 0}
-        self.lost = self.blind = self.refusal = ""
-        self.latencies = deque[float](maxlen=5000)
-        self.counts: deque[tuple[float, dict[str, int]]] = deque(maxlen=round(WINDOW_S / SAMPLE_S))
-        self.moment = self.look()
-
-    def run(self, duration_s: float = math.inf) -> None:
-        """Follow the port until ``stop`` is set, the time is over, or a file cannot be written."""
-        reader = threading.Thread(target=self.guarded, args=(self._read,), daemon=True)
-        before = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_S)
-        gc.freeze()  # a look through all that the libraries have made takes a tenth of a second
-        self.began = self.heard = self.estimated_at = time.monotonic()
-        reader.start()
-        try:
-            while not self.stop.is_set() and time.monotonic() - self.began < duration_s:
-                self.turn()
-        finally:
-            self.stop.set()
-            reader.join()
-            gc.unfreeze()
-            sys.setswitchinterval(before)
-        self.settle()
-
-    def settle(self) -> None:
-        """Take in what other threads have said last, without bytes; raise what has failed there."""
-        with suppress(queue.Empty):
-            while True:
-                at, item = self.inbox.get_nowait()
-                if not isinstance(item, bytes):
-                    self._take(at, item)
-
-    def guarded(self, work: Callable[[], Any], view: str = "") -> Any:
-        """Work in another thread. What fails there ends the session, and ``run`` raises it.
-
-        If a view fails the session goes on, because it may be recording.
-        """
-        try:
-            return work()
-        except BaseException as error:
-            if view:
-                return self.blinded(view, error)
-            self.inbox.put((time.monotonic(), error))
-            self.stop.set()
-            return None
-
-    def blinded(self, view: str, error: BaseException) -> str:
-        """Say that a view has failed and why, in another thread; it is among the notes from then on."""
-        why = f"{type(error).__name__}: {error}"
-        text = f"The {view} has failed, and the session goes on without it ({why})."
-        self.inbox.put((time.monotonic(), text))
-        return text
-
-    def _read(self) -> None:
-        state = self.port.opened, self.port.lost
-        while not self.stop.is_set():
-            data, at = self.port.read(0.05), time.monotonic()
-            before, state = state, (self.port.opened, self.port.lost)
-            again = state[0] != before[0]
-            if state != before:
-                self.inbox.put((at, PortState(again, state[1])))
-            if data:
-                self.inbox.put((at, data))
-            if self.writer is not None:
-                if again:
-                    self.writer.opened(self.writer.now_ns())
-                self.writer.write(self.writer.now_ns(), data)
-
-    def turn(self) -> None:
-        """Take in what has arrived, estimate one time step, and look if it is time for that."""
-        wait, now = not self.pending, time.monotonic()
-        if not self.counts or now - self.counts[-1][0] >= SAMPLE_S:
-            self.counts.append((now, self.counters()))
-        idle = not self.pending and self.inbox.empty()  # no time step has to wait for a moment, unless all do
-        if now - self.moment.made_s >= (MOMENT_S if idle else 4 * MOMENT_S):
-            self.moment = self.look()
-        with suppress(queue.Empty):
-            self._take(*self.inbox.get(wait, MOMENT_S))
-            while True:
-                self._take(*self.inbox.get_nowait())
-        if len(self.pending) > 1 and time.monotonic() - self.pending[0][0] > BEHIND_S:
-            self.own["skipped"] += len(self.pending) - 1
-            self.pending = deque([self.pending[-1]])
-        if self.pending:
-            self._estimate(*self.pending.popleft())
-
-    def _take(self, at: float, item: Item) -> None:
-        match item:
-            case bytes():
-                self._parse(at, item)
-            case PortState():
-                self.lost = item.lost
-                if item.again:
-                    self.parser.reopened()
-            case str():
-                self.blind = item
-            case _:
-                raise item
-
-    def _parse(self, at: float, data: bytes) -> None:
-        self.heard = at
-        self.own["bytes"] += len(data)
-        found = []
-        try:
-            found = self.steps.feed(self.parser.feed(data), at - self.began)
-        except InputError as error:  # the board is that of another robot
-            self._refused(error)
-        for remarks in (self.parser.remarks, self.steps.remarks):
-            self.remarks |= dict.fromkeys(remarks, time.monotonic())
-            remarks.clear()  # it is made again if the cause comes again
-        self.own["time_steps"] += len(found)
-        self.pending.extend((at, step) for step in found)
-
-    def _estimate(self, at: float, step: Step) -> None:
-        try:
-            found = self.follower.step(step.u, step.time_s)
-        except InputError as error:  # of this row; the next one may do
-            self._refused(error)
-            return
-        self.estimated_at = time.monotonic()
-        self.own["estimates"] += 1
-        self.latencies.append(self.estimated_at - at)
-        self.last = step.time_s, step.u, found
-        self.each(self.last)
-
-    def _refused(self, error: InputError) -> None:
-        self.refusal = str(error)
-        self.remarks[self.refusal] = time.monotonic()
-
-    def counters(self) -> dict[str, int]:
-        """Return all counts since the beginning."""
-        left_out = {name: n for name, n in self.steps.counters.items() if name != "steps"}
-        return {**self.parser.counters, **left_out, **self.own}
-
-    def facts(self) -> Facts:
-        """Return what is known at the moment."""
-        now, counts, follower = time.monotonic(), self.counters(), self.follower
-        then, before = self.counts[0] if self.counts else (self.began, {})
-        late = {at: text for text, at in self.remarks.items() if at > self.estimated_at}
-        facts = Facts(
-            self.robot, follower.name, tuple(follower.failed), follower.grown, self.last, now - self.estimated_at,
-            now - self.began, now - self.heard, self.lost, self.blind, counts,
-            {name: n - before.get(name, 0) for name, n in counts.items()}, max(now - then, 1e-3),
-            tuple(self.latencies), (*self.remarks, *self.steps.losses()), late[max(late)] if late else "",
-        )  # fmt: skip
-        return facts._replace(age_s=facts.age_s if facts.age_s > max(SILENT_S, facts.apart_s) else 0.0)
-
-    def look(self) -> Moment:
-        """Return what is shown of the moment; if that cannot be made the session goes on, as it may be recording."""
-        made_s = time.monotonic()
-        try:
-            return moment(self.facts(), made_s, with_shape=self.with_shape)
-        except Exception as error:
-            text = self.blinded("view", error)
-            return Moment(made_s, ("not known",), (), (text,), (), False, "old", (), 0.0, None, None)
-
-
-def terminal(seen: Moment) -> Any:
+def terminal(seen: Moment) -> Group:
     """Return what rich shows: tip and coordinates, fit and counts, and what is wrong."""
-    from rich.columns import Columns
-    from rich.console import Group
-    from rich.text import Text
-
     style = "" if seen.trusted else "dim italic"
     return Group(
         Columns([Text(x, style) for x in seen.numbers], padding=(0, 3)),
@@ -330,94 +119,112 @@ def terminal(seen: Moment) -> Any:
     )
 
 
-class Table:
-    """A new CSV with the columns of ``Trajectory.to_frame``; a thread writes lines as estimates come.
+@contextmanager
+def shown(session: Session, browser_socket: int | None) -> Iterator[None]:
+    """Show a session on the terminal and, with the number of a socket, on a page for the browser."""
+    console = Console(stderr=True)
+
+    def on_the_terminal() -> Any:
+        seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
+        return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
+
+    with ExitStack() as opened:
+        if browser_socket is not None:
+            page = opened.enter_context(PageServer(session, browser_socket))
+            console.print(f"Open {page.address} in a browser of this computer.", soft_wrap=True, markup=False)
+        opened.enter_context(Live(get_renderable=on_the_terminal, console=console, refresh_per_second=4))
+        yield
+
+
+@contextmanager
+def table_of_estimates(path: Path, session: Session) -> Iterator[None]:
+    """Write a new CSV with the columns of ``Trajectory.to_frame``, in a thread, as estimates come.
 
     The file takes its name at the end of the session, whole.
     """
+    rows = session.rows = deque[Row]()
 
-    def __init__(self, path: Path, session: Session) -> None:
-        self.path, self.session, self.waiting = path, session, deque[Row]()
-        self.robot, self.monitor = session.robot, session.follower.monitor
-        session.each = self.waiting.append
-        self._thread = threading.Thread(target=session.guarded, args=(self._write_all,), daemon=True)
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        self.session.stop.set()
-        self._thread.join()
-        if kind is None:  # the last lines may have failed after ``run``
-            self.session.settle()
-
-    def _write_all(self) -> None:
+    def write() -> None:
         last = False
-        with whole(self.path, "live") as part:
+        with whole(path, "live") as part:
             while not last:
-                last = self.session.stop.wait(0.2)
-                if rows := [self.waiting.popleft() for _ in range(len(self.waiting))]:
-                    times, u, found = zip(*rows, strict=True)
-                    frame = trajectory(times, u, found, self.robot, self.monitor).to_frame()
+                last = session.stop.wait(0.2)
+                if taken := [rows.popleft() for _ in range(len(rows))]:
+                    times, u, found = zip(*taken, strict=True)
+                    frame = trajectory(times, u, found, session.robot, session.follower.monitor).to_frame()
                     frame.to_csv(part, index=False, mode="a", header=not part.exists())
+
+    thread = threading.Thread(target=session.guarded, args=(write,), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        session.stop.set()
+        thread.join()
+    session.settle()  # the last lines may have failed after ``run``
+
+
+@dataclass(frozen=True)
+class Line:
+    """A port, and what a board sends through it."""
+
+    port: str
+    baud: int = 115200
+    format: str | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """By what a robot is followed, without which sensors, and how many times as large every ± is stated."""
+
+    estimator: str = ""
+    calibration: Path | None = None
+    failed: Sequence[int | str] = ()
+    grown: float = 1.0
 
 
 def live(
-    port: str,
+    line: Line,
     robot: str | Path,
+    method: Method = Method(),
     *,
-    calibration: Path | None = None,
-    estimator: str = "",
     output: Path | None = None,
-    browser: bool = False,
-    browser_socket: int = 0,
-    failed: Sequence[int | str] = (),
-    baud: int = 115200,
-    duration_s: float = math.inf,
     estimates: Path | None = None,
-    grown: float = 1.0,
-    format: str | None = None,
+    browser_socket: int | None = None,
+    duration_s: float = math.inf,
     stop: threading.Event | None = None,
 ) -> str:
     """Estimate the shape of a robot from a port until ``stop`` is set, and return counts and remarks at the end."""
-    from rich.console import Console
-    from rich.live import Live
-    from rich.text import Text
-
     require(duration_s > 0, "duration", "live", "above zero [s]", duration_s)
     for name, path in (("output", output), ("estimates", estimates)):
         require(path is None or not path.exists(), name, "live", "a new file", path)
-    described = load_robot(robot)
-    if described.total_noise is None:
-        raise bad_input("robot", "live", "one whose file states the noise of its readings", Path(robot).name)
-    known = None if calibration is None else load_calibration(calibration, described)
-    arm = described if known is None else known.robot
-    follower, console = Follower(arm, estimator, failed, grown, known), Console(stderr=True)
+    follower = _follower(robot, method)
     follower.warm()
-    with ExitStack() as open_now:
-        opened = open_now.enter_context(closing(open_port(port, baud)))
-        writer = None
-        if output is not None:
-            writer = Writer(output, {"port": port, "baud": baud, "format": format})
-            open_now.enter_context(closing(writer))
-        session = Session(follower, opened, writer, format, with_shape=browser)
+    with ExitStack() as opened:
+        session = Session(
+            follower, opened.enter_context(closing(open_port(line.port, line.baud))), line.format,
+            with_shape=browser_socket is not None,
+        )  # fmt: skip
         session.stop = stop or session.stop
-        open_now.enter_context(stopping(session.stop))
+        if output is not None:
+            writer = opened.enter_context(closing(Writer(output, asdict(line))))
+            session.record = writer.take
+        opened.enter_context(stopping(session.stop))
         if estimates is not None:
-            open_now.enter_context(Table(estimates, session))
-        if browser:
-            from repro_board.page_server import PageServer
-
-            page = open_now.enter_context(PageServer(session, browser_socket))
-            console.print(f"Open {page.address} in a browser of this computer.", soft_wrap=True, markup=False)
-
-        def shown() -> Any:
-            seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
-            return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
-
-        open_now.enter_context(Live(get_renderable=shown, console=console, refresh_per_second=4))
+            opened.enter_context(table_of_estimates(estimates, session))
+        opened.enter_context(shown(session, browser_socket))
         session.run(duration_s)
     if session.refusal and not session.own["estimates"]:
         raise InputError(session.refusal)
-    facts = session.facts()
-    return "\n".join([*(f"{name}: {text}" for name, text in summary(facts).items()), *notes(facts)])
+    counted = [f"{name}: {text}" for name, text in summary(session).items()]
+    return "\n".join([*counted, *notes(session)])
+
+
+def _follower(path: str | Path, method: Method) -> Follower:
+    robot, calibration = load_robot(path), None
+    if robot.total_noise is None:
+        raise bad_input("robot", "live", "one whose file states the noise of its readings", Path(path).name)
+    if method.calibration is not None:
+        calibration = load_calibration(method.calibration, robot)
+        robot = calibration.robot
+    return Follower(robot, method.estimator, method.failed, method.grown, calibration)

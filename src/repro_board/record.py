@@ -25,125 +25,36 @@ values instead of bytes, and are refused.
 from __future__ import annotations
 
 import contextlib
-import errno
 import itertools
 import json
 import math
 import os
-import select
-import signal
-import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import urlsplit
 from zlib import crc32
 
 import numpy as np
 
-import repro
-from repro.common import Array, bad_input, require, whole
+from repro.common import Array, require, whole
 from repro.robot import Robot
 from repro.tables import Readings, read_readings
-from repro_board.steps import STANDS_STILL, STILL, Steps
+from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
 _MAGIC = b"RRB2"
+MOST_BYTES = 65536
+"""Of a block."""
 SYNC_S = 0.25
 """A power cut costs at most this time [s], and what the disk itself holds back."""
-MOST_BYTES = 65536
-"""Bytes taken from a port at once, and of a block."""
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
 _WRAP_S = 2**32 / 1e6
 
 
 Json = dict[str, Any]
-
-
-class Port:
-    """A serial port or a socket that is opened again, as often as it must, whenever it is lost.
-
-    ``opened`` counts how often it was opened; ``lost`` says why it is away, and is empty while it is there.
-    """
-
-    def __init__(self, address: str, baud: int) -> None:
-        self.address, self.baud = address, baud
-        self._line = _open(address, baud)
-        self.opened, self.lost = 1, ""
-        self._wait_s = self._due = 0.0
-
-    @property
-    def reconnects(self) -> int:
-        """How often it was opened again."""
-        return self.opened - 1
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived; nothing after the time, or where the port had to be opened again."""
-        try:
-            if self.lost:
-                self._reopen(timeout_s)
-            elif select.select([self._line], [], [], timeout_s)[0]:
-                data = os.read(self._line.fileno(), MOST_BYTES)
-                if data:
-                    return data
-                raise ConnectionResetError(0, "closed at the other side")
-        except BlockingIOError:
-            pass
-        except (OSError, ValueError) as error:
-            self._wait_s = min(1.0, 2 * self._wait_s or 0.05) if self.lost else 0.0
-            self._due = time.monotonic() + self._wait_s
-            self.lost = getattr(error, "strerror", None) or str(error)
-            self.close()
-        return b""
-
-    def _reopen(self, timeout_s: float) -> None:
-        time.sleep(min(timeout_s, max(0.0, self._due - time.monotonic())))
-        if time.monotonic() >= self._due:
-            self._line = _open(self.address, self.baud)
-            self.opened, self.lost = self.opened + 1, ""
-
-    def close(self) -> None:
-        """Close it, also when it has disappeared."""
-        with contextlib.suppress(OSError):
-            self._line.close()
-
-
-def _open(address: str, baud: int) -> Any:
-    if address.startswith("socket:"):
-        where = urlsplit(address)
-        return socket.create_connection((where.hostname or "", where.port or 0), timeout=2.0)
-    import serial
-
-    return serial.Serial(address, baud, timeout=0, exclusive=True)
-
-
-def open_port(address: str, baud: int = 115200) -> Port:
-    """Open a port for this process alone: ``/dev/ttyACM0`` or ``socket://HOST:PORT``; refuse it in words."""
-    require(0 < baud < 2**31, "baud", "the board", "a rate above zero", baud)
-    try:
-        return Port(address, baud)
-    except (OSError, ValueError) as error:
-        must = {
-            errno.ENOENT: f"one that is there; found: {ports()}",
-            errno.EACCES: "one that you may use (sudo usermod -aG dialout $USER, then log in again)",
-            errno.EAGAIN: "free (close the program that has it open)",
-            errno.EBUSY: "free (close the program that has it open)",
-        }.get(
-            getattr(error, "errno", None) or 0, "a serial port, or socket://HOST:PORT of a listening program"
-        )
-        why = getattr(error, "strerror", None) or error
-        raise bad_input("port", "the board", must, f"{address} ({why})") from error
-
-
-def ports() -> str:
-    """Return the serial ports of this computer, with what they say they are, one a line."""
-    from serial.tools import list_ports
-
-    found = [f"{port.device}  {port.description}" for port in sorted(list_ports.comports())]
-    return "\n".join(found) or "no serial port (plug a board in; socket://HOST:PORT works without one)"
 
 
 class Writer:
@@ -182,6 +93,12 @@ class Writer:
         for first in range(0, len(data), MOST_BYTES):
             self._append(b"B", unix_ns, data[first : first + MOST_BYTES])
         self.received += len(data)
+
+    def take(self, data: bytes, again: bool) -> None:
+        """Append bytes that have arrived now, and before them whether the port was opened again."""
+        if again:
+            self.opened(self.now_ns())
+        self.write(self.now_ns(), data)
 
     def opened(self, unix_ns: int) -> None:
         """Mark that the port was opened again: what comes next need not follow what came before."""
@@ -233,87 +150,6 @@ class Writer:
                 except Exception as error:  # the next block raises it
                     self._failure = error
                 synced = size
-
-
-class Summary(NamedTuple):
-    """What `record` has done so far, or in the end; ``path`` is None where there is no file."""
-
-    path: Path | None
-    seconds: float
-    received: int
-    samples: int
-    reconnects: int
-    format: str | None
-    counters: dict[str, int]
-    remarks: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Return a line of numbers, and one for each remark."""
-        counted = {"reconnects": self.reconnects} | self.counters
-        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
-        rate = f"{self.samples} samples of {self.format or 'no known format'}"
-        rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
-        numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
-        return "\n".join([", ".join(numbers), *self.remarks])
-
-
-@contextlib.contextmanager
-def stopping(stop: threading.Event) -> Iterator[None]:
-    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
-    main = threading.current_thread() is threading.main_thread()
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def record(
-    port: str,
-    path: str | Path,
-    *,
-    baud: int = 115200,
-    duration_s: float = math.inf,
-    format: str | None = None,
-    channels: int | None = None,
-    stop: threading.Event | None = None,
-    show: Callable[[Summary], None] | None = None,
-) -> Summary:
-    """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
-
-    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
-    """
-    require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
-    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
-    about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
-    about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    closing = contextlib.closing
-    with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
-        start = time.monotonic()
-        opened, shown = line.opened, start
-
-        def state() -> Summary:
-            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
-            return Summary(
-                file.path if file.received else None, time.monotonic() - start, file.received, samples,
-                line.reconnects, parser.format, {**parser.counters}, (*lost, *parser.remarks),
-            )  # fmt: skip
-
-        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
-            data = line.read(min(0.1, left))
-            if line.opened > opened:
-                opened = line.opened
-                file.opened(file.now_ns())
-                parser.reopened()
-            file.write(file.now_ns(), data)
-            samples += len(parser.feed(data))
-            if show and time.monotonic() >= shown + 1:
-                shown = time.monotonic()
-                show(state())
-        file.close(state()._asdict() | {"path": None})
-        return state()
 
 
 class Recording(NamedTuple):
@@ -532,7 +368,7 @@ def is_recording(path: str | Path) -> bool:
         return file.read(3) == _MAGIC[:3]
 
 
-def readings_of(robot: Robot, source: Any) -> Readings:
+def readings_of(robot: Robot, source: object) -> Readings:
     """Return the readings ``[t, s]`` of a robot from a recording or a table: a path, or what was read of it.
 
     Raises
@@ -544,6 +380,6 @@ def readings_of(robot: Robot, source: Any) -> Readings:
         source = read_recording(source)
     if not isinstance(source, Recording):
         return read_readings(robot, source)
-    steps = Steps(robot, source=source)
+    steps = Steps(robot, source=Labels(source.names, source.units, source.format))
     table = steps.table(source.samples, source.times, source.path.name)
     return read_readings(robot, table._replace(remarks=(*source.remarks, *steps.remarks)))

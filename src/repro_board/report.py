@@ -7,15 +7,18 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import chi2 as chi_square
 
 from repro.common import Array, require, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
+from repro.robot import Robot
 
 _COVERED = 0.95
 
@@ -48,16 +51,23 @@ def written(path: Path, text: str, owner: str) -> str:
     return f"Written: {path.name}"
 
 
-def csv(frame: Any) -> str:
+def csv(frame: pd.DataFrame) -> str:
     """Return a table as text; times keep their microseconds however large they are."""
     frame = frame.assign(time_s=frame["time_s"].map("{:.6f}".format)) if "time_s" in frame else frame
     return frame.to_csv(index=False, lineterminator="\n", float_format="%.7g")
 
 
-def some(words: Sequence[Any], most: int = 5) -> str:
+def some(words: Sequence[object], most: int = 5) -> str:
     """Return the first of some words, and how many more there are."""
     rest = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(map(str, words[:most])) + rest
+
+
+@cache
+def units_of(robot: Robot) -> list[tuple[str, str, float]]:
+    """Return name, unit in tables and factor to it of every coordinate."""
+    none = np.zeros((0, robot.n_q))
+    return Trajectory(none, none, None, none, none, none, none, robot=robot).units()
 
 
 def suspicions(shape: Trajectory) -> list[str]:
@@ -87,7 +97,7 @@ def suspicions(shape: Trajectory) -> list[str]:
     return lines or ["All rows are consistent, and no sensor is suspected."]
 
 
-def tip_known(shape: Trajectory, frame: Any) -> str:
+def tip_known(shape: Trajectory, frame: pd.DataFrame) -> str:
     """Say how well the tip is known; nothing where no covariance is stated."""
     if shape.covariance is None:
         return ""
@@ -117,13 +127,11 @@ def calibration_report(found: Calibration, q: Array, u: Array) -> str:
     return "\n".join(lines)
 
 
-def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajectory]) -> Any:
+def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajectory]) -> pd.DataFrame:
     """Return errors by estimate and quantity, and how often 95 % regions hold the measured pose, itself uncertain.
 
     ``grown`` is how many times larger every ± must be stated for them to hold it in 95 % of the rows.
     """
-    import pandas as pd
-
     rows, robot, units = [], measured.robot, measured.units()
     for name, shape in shapes.items():
         use = np.isfinite(measured.q).all(1) & np.isfinite(shape.q).all(1)
@@ -160,7 +168,7 @@ def _coverage(error: Array, covariance: Array | None, dof: int) -> dict[str, flo
     return {"coverage": 100 * float((score <= limit).mean()), "grown": grown}
 
 
-def picture(frames: Mapping[str, Any], units: Sequence[tuple[str, str, float]]) -> bytes:
+def picture(frames: Mapping[str, pd.DataFrame], units: Sequence[tuple[str, str, float]]) -> bytes:
     """Draw measured and estimated coordinates, and the error of the tip, over time."""
     from matplotlib import style
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from repro.tables import (
     spread,
     taken_in_order,
 )
-from repro_board.wire import WRAP, Sample
+from repro_board.wire import WRAP, Parser, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)
 _EARLY_S, _LATE_S = 1.0, 2.0
@@ -35,27 +35,8 @@ STILL = 10
 STANDS_STILL = "The board's clock stands still, or is too coarse: times are those of arrival."
 
 
-class Source(Protocol):
-    """What samples come from, and what it says of their values: a parser or a recording."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the values; empty if it says none."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Their units."""
-        ...
-
-    @property
-    def format(self) -> str | None:
-        """How they were sent."""
-        ...
-
-
 class Labels(NamedTuple):
-    """Names and units of values that somebody states."""
+    """Names and units of values, and how they were sent, as far as somebody says it."""
 
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
@@ -91,7 +72,7 @@ class Steps:
     times
         ``board``: by its clock, where it sends one; or ``arrival``.
     source
-        What the samples come from, whose ``names`` and ``units`` say what the values are: a parser or a recording.
+        What the samples come from, whose ``names`` and ``units`` say what the values are: a parser, or labels.
         Without it they are the channels 1, 2, 3 and so on, in the unit of the robot.
 
     Attributes
@@ -107,11 +88,11 @@ class Steps:
     >>> robot = repro.Robot([repro.Link(0.1)], imus=[repro.Imu(1, 0.05), repro.Imu(1, 0.1)])
     >>> steps = Steps(robot)
     >>> upright = np.array([0.0, 0.0, 0.0, 1.0])
-    >>> [len(steps.add(Sample(k, None, None, 0, upright), 0.1 * k)) for k in (1, 2, 1, 2)]
+    >>> [len(steps.feed([Sample(k, None, None, 0, upright)], 0.1 * k)) for k in (1, 2, 1, 2)]
     [0, 1, 0, 1]
     """
 
-    def __init__(self, robot: Robot, times: str = "board", source: Source = NO_LABELS) -> None:
+    def __init__(self, robot: Robot, times: str = "board", source: Parser | Labels = NO_LABELS) -> None:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
         self.remarks: list[str] = []
@@ -132,9 +113,9 @@ class Steps:
         self._table: Table | None = None  # without rows
         self._columns: Columns | None = None
         self._seen: list[Array] = []  # the first rows, by which orientations are checked
-        self._sent: Any = None  # time of the last sample
+        self._sent: float | None = None  # time of the last sample
         self._before: tuple[float, float] | None = None  # time and arrival of the step before [s]
-        self._tick: tuple[float, int | None] = (
+        self._tick: tuple[float, float | None] = (
             0.0,
             None,
         )  # when the board's clock changed last: time [s], clock [µs]
@@ -143,10 +124,6 @@ class Steps:
             1.0 / (robot.rate_hz or 100.0),
         )  # its steps, and how far apart such are
         self._first_s = 0.0
-
-    def add(self, sample: Sample, arrived_s: float) -> list[Step]:
-        """Take a sample and when it arrived [s]; return the steps that it completes."""
-        return self.feed([sample], arrived_s)
 
     def feed(self, samples: Sequence[Sample], arrived_s: float) -> list[Step]:
         """Take samples that arrived together [s]; return the steps that they complete.
@@ -195,7 +172,7 @@ class Steps:
             except InputError as error:
                 self.remarks.insert(0, str(error))
 
-    def _put(self, sample: Sample, sent: Any) -> list[tuple[Array, Any]]:
+    def _put(self, sample: Sample, sent: float | None) -> list[tuple[Array, float | None]]:
         """Take the values of a sample and its time; return what is complete, with the time of its last sample."""
         stream, width = sample.stream, self._widths.get(sample.stream)
         expected = width or len(self._source.names) or len(sample.values)
@@ -229,7 +206,7 @@ class Steps:
     def _silent(self, stream: int) -> bool:
         return self._age[stream] > 2 * self._usual[stream]
 
-    def _row(self) -> tuple[Array, Any]:
+    def _row(self) -> tuple[Array, float | None]:
         parts = [np.full(n, np.nan) if self._silent(k) else self._values[k] for k, n in self._widths.items()]
         self._age = {stream: age + 1 for stream, age in self._age.items()}
         self._fresh, self._order = set(), None
@@ -257,7 +234,7 @@ class Steps:
         self.remarks[:0] = words
         return table
 
-    def _when(self, sent_us: Sequence[int | None], arrived_s: float) -> list[float]:
+    def _when(self, sent_us: Sequence[float | None], arrived_s: float) -> list[float]:
         """Return the times of steps that arrived together: they increase, whatever the clocks do."""
         n, steps, found = len(sent_us), self.counters["steps"], []
         usual_s = 1.0 / (self._robot.rate_hz or 100.0)

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 import re
 import struct
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.common import Array, numbers, require
 from repro.lines import (
@@ -184,7 +185,7 @@ class _Frames(_Packets):
 
 
 def encode(
-    sample_values: Any, stream: int = 0, sequence: int = 0, time_us: int = 0, kind: str = "float32"
+    sample_values: ArrayLike, stream: int = 0, sequence: int = 0, time_us: int = 0, kind: str = "float32"
 ) -> bytes:
     """Return the bytes of a frame, delimiters included.
 
@@ -455,7 +456,7 @@ def _may_be_cut(name: str) -> bool:
     return _time_scale(*name_and_unit(name)) is None and any(x.endswith(name.lower()) for x in whole)
 
 
-def text_line(values: Any, format: str, stream: int = 0) -> bytes:
+def text_line(values: ArrayLike, format: str, stream: int = 0) -> bytes:
     r"""Return the line of text that a board prints, ``\r\n`` included.
 
     Parameters

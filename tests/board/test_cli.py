@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import io
-import os
-import pty
 import re
 import resource
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -202,34 +200,3 @@ def test_a_terminal_without_a_sign_shows_a_question_mark(folder, monkeypatch):
     assert main(["check", str(folder / "robot.toml"), "--samples", "20"]) == 0
     sys.stdout.flush()
     assert b"known to ?" in sys.stdout.buffer.getvalue()
-
-
-def test_an_export_says_each_remark_once(folder, tmp_path, capsys):
-    cut = (folder / "motion.rec").read_bytes()[:-9]
-    (tmp_path / "cut.rec").write_bytes(cut)
-    assert main(["export", str(tmp_path / "cut.rec"), "-o", str(tmp_path / "a.csv")]) == 0
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == len(set(lines)) == 2
-
-
-def test_a_silent_port_leaves_no_file_and_the_terminal_as_it_was(tmp_path):
-    """The numbers are shown in one place, for which the cursor is hidden meanwhile."""
-    board, port = pty.openpty()
-    terminal, end = pty.openpty()
-    words = ["record", os.ttyname(port), "-o", "none.rec", "--duration", "0.5"]
-    command = [sys.executable, "-m", "repro_board.cli", *words]
-    environment = os.environ | {"TERM": "xterm"}
-    done = subprocess.run(
-        command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=end, env=environment, check=False
-    )
-    os.close(end)
-    said = b""
-    with suppress(OSError):  # the end of a terminal is an error
-        while part := os.read(terminal, 4096):
-            said += part
-    for descriptor in (board, port, terminal):
-        os.close(descriptor)
-    assert done.returncode == 1
-    assert b"Nothing came" in said
-    assert said.rfind(b"\x1b[?25h") > said.rfind(b"\x1b[?25l") >= 0
-    assert list(tmp_path.iterdir()) == []

@@ -43,7 +43,7 @@ def messages(path):
 
 
 def test_a_csv_has_every_sample_bit_for_bit(recording, tmp_path):
-    assert export(recording, tmp_path / "a.csv") == []
+    assert export(recording.path, tmp_path / "a.csv") == ([], 40)
     table = pd.read_csv(tmp_path / "a.csv")
     assert list(table) == ["time_s", "unix_s", "board_s", "stream", "sequence", "u1", "u2", "u3"]
     np.testing.assert_array_equal(table[["u1", "u2", "u3"]], U)
@@ -53,23 +53,16 @@ def test_a_csv_has_every_sample_bit_for_bit(recording, tmp_path):
     np.testing.assert_allclose(table["board_s"], 0.02 * np.arange(40), rtol=1e-15)
 
 
-def test_an_ending_that_is_no_form_is_refused(recording, tmp_path):
-    with pytest.raises(
-        InputError, match="to of the export must be one of csv, parquet, mcap .* received xlsx"
-    ):
-        export(recording, tmp_path / "a.xlsx")
-
-
 def test_parquet_has_the_same_table(recording, tmp_path):
     pytest.importorskip("pyarrow")
-    export(recording, tmp_path / "a.parquet")
+    export(recording.path, tmp_path / "a.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "a.parquet"), table_of(recording)[0])
 
 
 def test_without_pyarrow_parquet_is_refused_in_words(recording, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(InputError, match="to of the export must be csv or mcap, unless pyarrow is installed"):
-        export(recording, tmp_path / "a.parquet")
+        export(recording.path, tmp_path / "a.parquet")
     assert list(tmp_path.iterdir()) == [recording.path]
 
 
@@ -89,7 +82,7 @@ def test_readings_of_a_robot_have_its_names_in_mt(recording, tmp_path):
         Sensor(1, 0.05, 0.01, channels=["u1"]),
     ]
     robot = Robot([ConstantCurvature(0.1, 0.02)], sensors=sensors)
-    export(recording, tmp_path / "a.csv", robot=robot)
+    export(recording.path, tmp_path / "a.csv", robot=robot)
     table = pd.read_csv(tmp_path / "a.csv")
     assert list(table) == ["time_s", "unix_s", "board_s", *(f"{name}_mT" for name in robot.names)]
     np.testing.assert_allclose(table.iloc[:, 3:], np.column_stack([U[:, 2] / 2, U[:, 0]]), rtol=1e-15)
@@ -103,7 +96,7 @@ def test_streams_of_other_widths_are_said(tmp_path):
     table, remarks = table_of(recording)
     assert remarks == ["samples have 1 to 2 values; missing ones are empty"]
     assert table["u2"].isna().tolist() == [True, False] * 5
-    export(recording, tmp_path / "a.mcap")
+    export(recording.path, tmp_path / "a.mcap")
     found, _ = messages(tmp_path / "a.mcap")
     assert [topic for topic, *_ in found] == ["/readings/0", "/readings/1"] * 5
     assert ["u2" in content for _, _, content, _ in found] == [False, True] * 5
@@ -115,7 +108,7 @@ def test_mcap_has_readings_and_estimates_in_the_order_of_time(recording, tmp_pat
     )
     estimates.loc[5, "tip_x_mm"] = np.nan
     estimates.to_csv(tmp_path / "shape.csv", index=False)
-    export(recording, tmp_path / "a.mcap", estimates=tmp_path / "shape.csv")
+    export(recording.path, tmp_path / "a.mcap", estimates=tmp_path / "shape.csv")
     found, about = messages(tmp_path / "a.mcap")
     assert [topic for topic, *_ in found] == ["/readings", "/estimate"] * 40
     times = [time_ns for _, time_ns, *_ in found]
@@ -141,9 +134,8 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_pa
     (tmp_path / "there.csv").write_text("mine")
     (tmp_path / "late.csv").write_text("time_s,status\n0,good\n99,good\n")
     (tmp_path / "other.csv").write_text("time_s,u1\n0,1\n")
-    before = sorted(tmp_path.iterdir())
     empty = read_recording(written(tmp_path / "b.rec", [b"no sample"]))
-    (tmp_path / "b.rec").unlink()
+    before = sorted(tmp_path.iterdir())
     for source, output, options, message in [
         (recording, "there.csv", {}, r"output of the export must be a new file"),
         (recording, "a.csv", {"to": "xlsx"}, r"to of the export must be one of csv, parquet, mcap"),
@@ -155,6 +147,6 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_pa
         (empty, "a.csv", {}, r"recording of b\.rec must be one with samples"),
     ]:  # fmt: skip
         with pytest.raises(InputError, match=message):
-            export(source, tmp_path / output, **options)
+            export(source.path, tmp_path / output, **options)
     assert sorted(tmp_path.iterdir()) == before
     assert (tmp_path / "there.csv").read_text() == "mine"

@@ -3,7 +3,6 @@
 import asyncio
 import http.client
 import io
-import itertools
 import json
 import math
 import os
@@ -18,20 +17,31 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
-from repro_board import page_server as server_module
-from repro_board import words as words_module
+from repro_board import session as session_module
+from repro_board import view as view_module
 from repro_board.emulate import course, faulty
-from repro_board.live import BURST, LOOK_S, MOMENT_S, Follower, Session, Table, live
-from repro_board.page_server import FILES, MOST_PAGES, PageServer, message
-from repro_board.record import Writer, open_port, read_recording
-from repro_board.wire import encode, text_line
-from repro_board.words import notes, numbers, sentences, summary
+from repro_board.live import Line, live, table_of_estimates
+from repro_board.record import Writer, read_recording
+from repro_board.session import (
+    BEHIND_S,
+    BURST,
+    LOOK_S,
+    MOMENT_S,
+    Follower,
+    Session,
+    in_numbers,
+    notes,
+    open_port,
+    sentences,
+    summary,
+)
+from repro_board.view import FILES, MOST_PAGES, PageServer, message
+from repro_board.wire import encode
 from tests.board.waiting import until
 
 RATE_HZ = 1000.0
@@ -106,20 +116,20 @@ def session_of(frames=(), *, robot=ROBOT, name="", since_s: float = 0.0, port=No
 
 
 def said(session: Session) -> list[str]:
-    return list(sentences(session.facts()))
+    return list(sentences(session))
 
 
 def noted(session: Session) -> list[str]:
-    return list(notes(session.facts()))
+    return list(notes(session))
 
 
 # --------------------------------------------------------------------------------------------------------- the loop
 def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     board, name = wire
     port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
-    session, rows = Session(Follower(ROBOT), port, writer), []
+    session, rows = Session(Follower(ROBOT), port), []
     session.follower.warm()
-    session.each = rows.append
+    session.record, session.rows = writer.take, rows
     look, made = session.look, []
     session.look = lambda: made.append(time.monotonic()) or look()
     thread = play(board, sent(U[:400]))
@@ -141,23 +151,6 @@ def test_every_frame_of_a_serial_line_is_estimated_and_recorded(wire, tmp_path):
     assert 8 < len(made) <= 1 / MOMENT_S
 
 
-def test_a_clock_of_the_day_that_is_set_changes_no_time_of_a_recording(wire, tmp_path, monkeypatch):
-    """It goes back and forth by an hour whenever somebody looks at it."""
-    board, name = wire
-    real, looks = time.time_ns, itertools.count()
-    port, writer = open_port(name), Writer(tmp_path / "a.rec", {})
-    monkeypatch.setattr(time, "time_ns", lambda: real() + 3600 * 10**9 * (next(looks) % 2))
-    session = Session(Follower(ROBOT), port, writer, "csv")
-    thread = play(board, [text_line(row, "csv") for row in U[:30]], 0.01)
-    session.run(0.6)
-    thread.join()
-    port.close()
-    writer.close()
-    found = read_recording(tmp_path / "a.rec")
-    assert len(found.samples) >= 25
-    assert max(np.ptp(found.arrived), np.ptp(found.times)) < 2
-
-
 def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session(tmp_path):
     failing = SimpleNamespace(opened=1, lost="", read=lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -165,14 +158,14 @@ def test_what_fails_in_the_thread_of_the_reader_or_of_the_table_ends_the_session
     session = session_of(sent(U[:20]))
     (tmp_path / "a.csv").write_text("of another process")
     message = r"output of live must be a new file .*a\.csv"
-    with pytest.raises(InputError, match=message), Table(tmp_path / "a.csv", session):
-        session.each(session.last)
+    with pytest.raises(InputError, match=message), table_of_estimates(tmp_path / "a.csv", session):
+        session.rows.append(session.last)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
 def test_estimates_are_those_of_track():
     session, rows = session_of(name="kalman"), []
-    session.each = rows.append
+    session.rows = rows
     for k, frame in enumerate(sent(U[:200])):
         session.inbox.put((session.began + TIMES[k], frame))
         session.turn()
@@ -185,7 +178,7 @@ def test_estimates_are_those_of_track():
 
 def test_a_session_that_is_behind_takes_the_newest_and_counts_the_others():
     session = session_of()
-    late = time.monotonic() - 2 * module.BEHIND_S
+    late = time.monotonic() - 2 * BEHIND_S
     for frame in sent(U[:50]):
         session.inbox.put((late, frame))
     session.turn()
@@ -308,9 +301,9 @@ def test_what_is_wrong_is_said(case):
 def test_all_is_well_and_nothing_is_said():
     session = session_of(sent(U[:100]))
     assert said(session) == []
-    assert summary(session.facts())["fit"].startswith("consistent, residuals ")
-    assert numbers(session.facts())[0].startswith("tip x ")
-    assert numbers(session.facts())[3].endswith(" mm")
+    assert summary(session)["fit"].startswith("consistent, residuals ")
+    assert in_numbers(session)[0].startswith("tip x ")
+    assert in_numbers(session)[3].endswith(" mm")
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
@@ -323,7 +316,7 @@ def test_a_remark_of_the_past_explains_no_fault_of_now():
     session = session_of([encode(U[0], 3, k) for k in range(2)] + sent(U[:50]), since_s=2)
     other = "Samples of stream 3 are none of the robot's: left out."
     assert noted(session) == [other]
-    assert "2 other streams" in summary(session.facts())["received"]
+    assert "2 other streams" in summary(session)["received"]
 
     def after(frame: bytes) -> str:
         session.counts.clear()
@@ -337,36 +330,19 @@ def test_a_remark_of_the_past_explains_no_fault_of_now():
     assert noted(session) == [other]
 
 
-def test_imus_are_followed_and_a_silent_one_is_named():
-    imus = [repro.Imu(1, at, channels=k) for k, at in enumerate((0.03, 0.06, 0.09), 1)]
-    robot = Robot(
-        ROBOT.segments[:1], imus=imus, lower=[-0.03, -0.03, 0.0], upper=[0.03, 0.03, 0.0], noise=0.01
-    )
-    q = np.array([0.01, -0.005, 0.0])
-    turns = Rotation.from_matrix(robot.poses(q, [imu.place for imu in imus])[:, :3, :3]).as_quat()
-    rng, frames = np.random.default_rng(0), []
-    for k in range(60):
-        noisy = (Rotation.from_quat(turns) * Rotation.from_rotvec(0.01 * rng.normal(size=(3, 3)))).as_quat()
-        senders = [1, 2, 3] if k < 30 else [1, 2]
-        frames += [encode(noisy[i - 1], i, k, 10_000 * k + 100 * i) for i in senders]
-    session = session_of(frames, robot=robot, name="kalman")
-    assert 1e3 * np.linalg.norm(robot.tip(session.last[2].q)[:3, 3] - robot.tip(q)[:3, 3]) < 3
-    assert said(session) == ["There is no reading of imu 3; it is left out."]
-
-
 def test_a_slow_board_is_not_taken_for_a_silent_one():
     session = session_of(sent(U[:3]), robot=ROBOT.replaced(rate_hz=0.3), since_s=4)
     session.counts.append((time.monotonic() - 2, session.counters()))
     session.heard = session.estimated_at = time.monotonic() - 3
     assert said(session) == []
-    assert session.facts().age_s == 0
+    assert session.age_s == 0
 
 
 def test_silence_and_a_lost_port_are_told_apart():
     session = session_of(sent(U[:20]))
     session.heard = session.estimated_at = time.monotonic() - 1.5
     assert said(session)[0].startswith("Nothing arrives any more.")
-    assert summary(session.facts())["fit"].startswith("2 s old; ")
+    assert summary(session)["fit"].startswith("2 s old; ")
     session.lost = "unplugged"
     assert said(session) == ["The port is gone; we wait until it is there again."]
 
@@ -430,7 +406,7 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
         threading.Thread(target=board, daemon=True).start()
         address = f"socket://127.0.0.1:{server.getsockname()[1]}"
         paths = {"output": tmp_path / "a.rec", "estimates": tmp_path / "a.csv"}
-        end = live(address, repro.example() / "robot.toml", stop=stop, **paths)
+        end = live(Line(address), repro.example() / "robot.toml", stop=stop, **paths)
     table = pd.read_csv(tmp_path / "a.csv")
     assert list(table.columns) == list(track(Follower(robot).estimator, u).to_frame().columns)
     assert len(table) == 40
@@ -439,7 +415,7 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
     assert "40 estimates by levenberg_marquardt" in end
     assert "The view on the terminal has failed, and the session goes on without it (ZeroDivisionError" in end
     with pytest.raises(InputError, match="output of live must be a new file"):
-        live(address, repro.example() / "robot.toml", **paths)
+        live(Line(address), repro.example() / "robot.toml", **paths)
 
 
 def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path):
@@ -448,7 +424,7 @@ def test_a_robot_file_without_noise_is_refused_before_a_port_is_opened(tmp_path)
     with pytest.raises(
         InputError, match=r"robot of live must be one whose file states the noise .*robot\.toml"
     ):
-        live("nowhere", tmp_path / "robot.toml")
+        live(Line("nowhere"), tmp_path / "robot.toml")
 
 
 # ---------------------------------------------------------------------------------------------------------- the page
@@ -591,8 +567,8 @@ def test_a_page_that_takes_nothing_delays_no_other_and_too_many_are_refused(page
 
 
 def test_a_page_that_takes_nothing_for_long_is_given_up(page, stream, monkeypatch):
-    monkeypatch.setattr(server_module, "STALLED_S", 0.3)
-    monkeypatch.setattr(server_module, "message", lambda _: {"long": "x" * 1_000_000})
+    monkeypatch.setattr(view_module, "STALLED_S", 0.3)
+    monkeypatch.setattr(view_module, "message", lambda _: {"long": "x" * 1_000_000})
     stream(page)  # takes nothing, and its buffers are full soon
     other = stream(page)
     deadline = time.monotonic() + 8
@@ -619,19 +595,6 @@ def test_a_message_names_the_suspect_and_is_json():
         json.dumps(message(CASES[case][0]().moment), allow_nan=False)
 
 
-def test_a_moment_stays_as_it_was_made_while_the_session_goes_on():
-    session = session_of(sent(U[:50]))
-    first = session.moment
-    told = json.dumps(message(first))
-    session._estimate(time.monotonic(), SimpleNamespace(u=U[-1], time_s=9.0))
-    session.moment = session.look()
-    assert json.dumps(message(first)) == told
-    assert (first.last[0] < 1, session.moment.last[0]) == (True, 9.0)
-    assert session.moment.numbers != first.numbers
-    with pytest.raises(AttributeError):
-        first.numbers = ()
-
-
 def test_a_moment_that_nothing_takes_the_place_of_is_old():
     session = session_of(sent(U[:50]))
     assert message(session.moment)["doubt"] == ""
@@ -640,7 +603,7 @@ def test_a_moment_that_nothing_takes_the_place_of_is_old():
 
 def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatch):
     session = session_of(sent(U[:50]))
-    monkeypatch.setattr(words_module, "numbers", lambda _: 1 / 0)
+    monkeypatch.setattr(session_module, "in_numbers", lambda _: 1 / 0)
     session.moment = session.look()
     failed = "The view has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
     assert message(session.moment) == {
@@ -659,7 +622,7 @@ def test_a_page_that_cannot_be_made_says_so_and_goes_on(page, stream, monkeypatc
     answer = stream(page)
     assert event(answer)["numbers"]
     for fault in ({"alarms": [np.nan]}, None):
-        monkeypatch.setattr(server_module, "message", lambda _, told=fault: told["alarms"] and told)
+        monkeypatch.setattr(view_module, "message", lambda _, told=fault: told["alarms"] and told)
         told = next(told for told in (event(answer) for _ in range(100)) if told["doubt"] == "old")
         assert told["alarms"][0].startswith("The page has failed, and the session goes on without it (")
         monkeypatch.undo()

@@ -28,7 +28,7 @@ def turned(stream, angle=0.2):
 
 
 def readings(steps, samples):
-    return [step.u.tolist() for k, x in enumerate(samples) for step in steps.add(x, 0.01 * k)]
+    return [step.u.tolist() for k, x in enumerate(samples) for step in steps.feed([x], 0.01 * k)]
 
 
 # ---- what makes a step ----
@@ -62,7 +62,7 @@ def test_labels_that_mean_no_channel_are_channels_in_their_order():
 )
 def test_a_board_that_is_not_the_robots_is_refused(names, units, message):
     with pytest.raises(InputError, match=message):
-        Steps(CHIP, source=Labels(names=names, units=units)).add(sample(0, *range(len(names))), 0.0)
+        Steps(CHIP, source=Labels(names=names, units=units)).feed([sample(0, *range(len(names)))], 0.0)
 
 
 @pytest.mark.parametrize("line", ["9,1,2,3", "9 1 2 3"])
@@ -76,7 +76,7 @@ def test_one_number_too_many_without_names_is_refused(line):
     ):
         Steps(CHIP, source=parser).feed(samples, 1.0)
     with pytest.raises(InputError, match="must be 1 columns, one for every reading .* received 2"):
-        Steps(BOTH).add(sample(0, 1, 2), 1.0)
+        Steps(BOTH).feed([sample(0, 1, 2)], 1.0)
     chosen = CHIP.replaced(sensors=[Sensor(1, 0.05, 0.01, axes=3, channels=[4, 2, 3])])
     assert readings(Steps(chosen), [sample(0, 9, 1, 2, 3)]) == [[3, 1, 2]]  # frames have numbers
 
@@ -93,9 +93,9 @@ def test_imus_make_a_step_when_all_have_sent_or_one_sends_again():
     steps = Steps(ARM)
     found = readings(steps, [turned(k, 0.1 * k) for k in (1, 2, 3)])
     np.testing.assert_allclose(found, [[0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0]], atol=1e-15)
-    assert [len(steps.add(turned(k, 0.4), 1.0 + k)) for k in (1, 2, 1)] == [0, 0, 1]  # the third was lost
-    assert len(steps.add(turned(3, 0.4), 5.0)) == 0
-    assert len(steps.add(turned(2, 0.4), 6.0)) == 1
+    assert [len(steps.feed([turned(k, 0.4)], 1.0 + k)) for k in (1, 2, 1)] == [0, 0, 1]  # the third was lost
+    assert len(steps.feed([turned(3, 0.4)], 5.0)) == 0
+    assert len(steps.feed([turned(2, 0.4)], 6.0)) == 1
 
 
 def test_a_silent_imu_is_missing_and_comes_back():
@@ -139,19 +139,6 @@ def test_other_streams_and_widths_are_counted_and_said():
 def test_a_stream_for_imus_and_magnetic_sensors_at_once_is_refused():
     with pytest.raises(InputError, match="stream of an IMU must be above 0"):
         Steps(BOTH.replaced(imus=[Imu(1, 0.1, channels=0)]))
-
-
-def test_readings_are_those_of_a_table_with_the_same_columns():
-    world = [0.0, math.sin(0.3), 0.0, math.cos(0.3)]
-    robot = BOTH.replaced(imus=[Imu(1, 0.1, channels=7, world=world)])
-    rng = np.random.default_rng(0)
-    q = rng.normal(size=(20, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    u = rng.normal(size=20)
-    steps = Steps(robot)
-    samples = [x for k in range(20) for x in (sample(7, *q[k]), sample(0, u[k]))]
-    frame = pd.DataFrame({"u1_mT": u} | {f"q{axis}_7": q[:, k] for k, axis in enumerate("xyzw")})
-    np.testing.assert_array_equal([step.u for step in steps.feed(samples, 1.0)], robot.readings(frame))
 
 
 READ = Robot(
@@ -234,14 +221,6 @@ def test_the_same_numbers_are_the_same_readings_whatever_brings_them(tmp_path_fa
     late = first - 1e-6 * (us - us[0])
     assert late.min() > -1e-9
     assert late.max() < 1e-9 or (np.diff(us) == 0).any()
-
-
-def test_frames_of_a_board_become_steps():
-    parser = Parser()
-    data = b"".join(encode([k, 2, 3], sequence=k, time_us=10_000 * k) for k in range(50))
-    steps = Steps(CHIP, source=parser).feed(parser.feed(data), 5.0)
-    assert [step.u[0] for step in steps] == list(range(50))
-    np.testing.assert_allclose(np.diff([step.time_s for step in steps]), 0.01, atol=1e-9)
 
 
 # ---- when it was ----

@@ -1,12 +1,8 @@
 """Frames and lines of text: laws over any bytes and any chunks, damage, and what boards print."""
 
-import ctypes
 import itertools
 import math
 import re
-import shutil
-import subprocess
-from pathlib import Path
 from zlib import crc32
 
 import numpy as np
@@ -230,30 +226,6 @@ def test_text_among_frames_is_told_and_costs_none():
     assert parser.remarks == ["Text arrives among the frames: a board that prints lines has the format csv."]
 
 
-def test_the_encoder_in_c_writes_the_same_bytes(tmp_path):
-    compiler = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
-    if compiler is None:
-        pytest.skip("there is no compiler")
-    source, library = (
-        Path(__file__).parents[2] / "firmware" / "frame_encoder.c",
-        tmp_path / "frame_encoder.so",
-    )
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-shared", "-fPIC"]
-    subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
-    encode_frame = ctypes.CDLL(str(library)).encode_frame
-    encode_frame.restype = ctypes.c_size_t
-    u8, u32 = ctypes.c_uint8, ctypes.c_uint32
-    encode_frame.argtypes = [ctypes.c_char_p, u8, u8, ctypes.c_void_p, u8, u32, u32]
-    rng = np.random.default_rng(0)
-    for code, kind, most in ((1, np.float32, 59), (2, np.int16, 118)):
-        for n in (1, 2, 7, most, most + 1):
-            values = (rng.normal(size=n) * 1000 * rng.integers(0, 2, n)).astype(kind)
-            out = ctypes.create_string_buffer(300)
-            length = encode_frame(out, 200, code, values.ctypes.data, n, 257, WRAP - 1)
-            expected = encode(values, 200, 257, WRAP - 1, np.dtype(kind).name) if n <= most else b""
-            assert out.raw[:length] == expected
-
-
 # ---- which format ----
 
 
@@ -363,42 +335,6 @@ def test_what_a_line_cannot_hold_is_not_written(format):
     ]:
         with pytest.raises(InputError):
             text_line(values, format, stream)
-
-
-def flips(data):
-    return [
-        data[:k] + bytes([data[k] ^ 1 << bit]) + data[k + 1 :] for k in range(len(data)) for bit in range(8)
-    ]
-
-
-@pytest.mark.parametrize(
-    ("format", "flipped", "lost", "doubled"),
-    [
-        ("frames", 0, 0, 0),
-        ("hall", 27, 11, 5),
-        ("millivolts", 68, 23, 11),
-        ("quaternions", 54, 7, 8),
-        ("csv", 33, 12, 9),
-    ],
-)
-def test_how_often_damage_passes(format, flipped, lost, doubled):
-    """The table of the page "Wire formats": a sound line before and behind, one byte damaged in every way."""
-    neighbour = (0.5, 0.5, -0.5, 0.5) if format == "quaternions" else tuple(v + 1 for v in EXAMPLES[format])
-
-    def received(damaged):
-        parser = Parser(format)
-        parser.feed(b"" if format == "frames" else b"\n" + 3 * one(format, neighbour))
-        samples = parser.feed(one(format, neighbour, 40) + damaged + one(format, neighbour, 42))
-        return [repr(sample._replace(start=0)) for sample in samples]
-
-    sound = one(format, EXAMPLES[format], 41)
-    without, doubles = [sound[:k] + sound[k + 1 :] for k in range(len(sound))], [
-        sound[: k + 1] + sound[k:] for k in range(len(sound))]  # fmt: skip
-    right = received(sound)
-    passed = [
-        sum(not set(received(x)) <= set(right) for x in some) for some in (flips(sound), without, doubles)
-    ]
-    assert passed == [flipped, lost, doubled]
 
 
 # ---- lines of numbers ----

@@ -18,9 +18,6 @@ import numpy as np
 
 from repro.common import Array
 
-_DAMPING = 1e-3
-"""Least damping, where a step leads to something worse."""
-
 
 class Trial(NamedTuple):
     """Parameters that were tried."""
@@ -48,6 +45,7 @@ def gauss_newton(
     iterations: int = 50,
     tolerance: float = 1e-6,
     slack: float = 1.0,
+    damping: float = 1e-3,
 ) -> Fit:
     """Minimise the residuals and a prior from zero on.
 
@@ -63,6 +61,8 @@ def gauss_newton(
         The iteration ends when a step is below this share of every prior standard deviation.
     slack
         By what factor the cost may grow, where the variances of the residuals depend on the parameters.
+    damping
+        The least damping, where a step leads to something worse; in a narrow valley that bends more would only creep.
 
     Raises
     ------
@@ -79,19 +79,19 @@ def gauss_newton(
     >>> gauss_newton(trial_of, np.ones(1)).z.round(6)
     array([1.])
     """
-    z, damping = np.zeros(len(prior)), 0.0
+    z, damped = np.zeros(len(prior)), 0.0
     first = last = trial_of(z)
     cost, A, g = last.equations()
     for _ in range(iterations):
         H = A + np.diag(prior)
-        step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g - prior * z)
+        step = np.linalg.solve(H + damped * np.diag(np.diag(H)), g - prior * z)
         trial, moved = trial_of(z + step), z + step
         if trial.cost + prior @ moved**2 <= slack * (cost + prior @ z**2) + 1e-6:
             z, last = moved, trial
             cost, A, g = last.equations()
-            damping = damping / 10 if damping > _DAMPING else 0.0
+            damped = damped / 10 if damped > damping else 0.0
         else:
-            damping = max(10 * damping, _DAMPING)
+            damped = max(10 * damped, damping)
         if (np.abs(step) * np.sqrt(prior)).max() < tolerance:
             break
     return Fit(z, A + np.diag(prior), last, first)

@@ -8,7 +8,7 @@ import { createRequire } from "node:module";
 import { join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 
-const SOURCES = ["viewer.js", "scene.js", "traces.js", "colours.js", "style.css"];
+const SOURCES = ["viewer.js", "colours.js", "style.css"];
 const PACKAGES = ["package.json", "package-lock.json", ".npmrc"];
 
 const here = fileURLToPath(new URL(".", import.meta.url));

@@ -1,6 +1,5 @@
 // Colours of the companion's figures (report/style.mplstyle: Okabe and Ito), and which theme the page has.
 
-export const SERIES = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"];
 export const ROLES = { estimate: "#D55E00", deviation: "#56B4E9", magnets: "#009E73", sensors: "#0072B2", suspects: "#E60000" };
 
 /** Colours that depend on the theme: the truth is black on light pages and white on dark ones. */
