@@ -15,7 +15,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro.common import Array, InputError, bad_input, printable, require
@@ -58,7 +57,7 @@ class Readings(np.ndarray):
     """
 
     times: Array | None = None
-    lines: Array | None = None
+    lines: Any = None
     remarks: tuple[str, ...] = ()
     without_times: bool = False
 
@@ -162,7 +161,9 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
         table, restarts = _file(Path(source), remarks)
     else:
         table, restarts = _frame(source, remarks), []
-    require(len(table.values), "file", table.owner, "a line of names and lines of numbers", "0 lines of numbers")
+    require(
+        len(table.values), "file", table.owner, "a line of names and lines of numbers", "0 lines of numbers"
+    )
     clock = [k for k, name in enumerate(table.names) if is_time(name)]
     for k in clock:
         table.require_numbers(k)
@@ -564,18 +565,14 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
 
 def _turns(streams: list[int], times: Array | None) -> Array:
     """Return the number of the turn to which each row of a stream belongs."""
-    later = np.zeros(len(streams), dtype=bool)
-    if times is not None:
-        later[1:] = np.diff(times) != 0
-    together = times is not None and not later[1:].all()  # rows of one time are one turn
+    later = np.zeros(len(streams), dtype=bool) if times is None else np.diff(times, prepend=times[0]) != 0
+    together = times is not None and not later[1:].all()
     cut = 0 if together else cut_turn(streams, streams)
-    group, seen = np.zeros(len(streams), dtype=int), set[int]()
-    for k, stream in enumerate(streams[1:], 1):
-        seen.add(streams[k - 1])
-        new = stream in seen or k == cut or (together and later[k])
-        seen = set() if new else seen
-        group[k] = group[k - 1] + new
-    return group
+    new, seen = list[bool](), set[int]()
+    for k, stream in enumerate(streams):
+        new.append(k > 0 and (stream in seen or k == cut or bool(together and later[k])))
+        seen = {stream} if new[-1] else seen | {stream}
+    return np.cumsum(new)
 
 
 def cut_turn(order: Sequence[int], streams: Sequence[int]) -> int:
