@@ -59,6 +59,8 @@ def name_and_unit(column: str) -> tuple[str, str]:
     --------
     >>> name_and_unit("Mag X (uT)"), name_and_unit("/board/u1_mT"), name_and_unit("time_ms"), name_and_unit("x_1")
     (('Mag X', 'uT'), ('u1', 'mT'), ('time', 'ms'), ('x_1', ''))
+    >>> name_and_unit("a_(uT)"), name_and_unit("Bx (Gauss)"), name_and_unit("B_x"), name_and_unit("delta_L_1_mm")
+    (('a', 'uT'), ('Bx', 'gauss'), ('B_x', ''), ('delta_L_1', 'mm'))
     """
     text = column.strip().replace("µ", "u").replace("μ", "u")
     text = text.rsplit("/", 1)[-1] if text.startswith("/") else text

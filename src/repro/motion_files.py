@@ -5,18 +5,22 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro.common import Array, bad_input, numbers, printable, require
 from repro.estimators.calibration import outside
 from repro.estimators.fit_shape import fit_shape, measured_poses, places_of
+from repro.lines import SI
 from repro.parts import Assembly
 from repro.tables import POSITION_FIRST, Table, bodies_of, configurations_of, read_table, text_of
 
@@ -121,16 +125,15 @@ def read_motion(path: Path | str) -> Motion:
     read = _motive if text.startswith("Format") else _qualisys if text.startswith("NO") else _vicon
     separator = "\t" if read is _qualisys else ","
     motion = read([next(csv.reader([line], delimiter=separator), []) for line in text.splitlines()], path)
-    increasing = len(motion.times) and np.all(np.diff(motion.times) > 0)
+    frames = len(motion.times)
+    increasing = frames and np.all(np.diff(motion.times) > 0)
     require(increasing, "times", owner, "increasing from frame to frame", "others, or no frame")
     if motion.missing:
-        remarks.append(
-            f"{owner} has {len(motion.times)} frames, {motion.missing} fewer than its header says."
-        )
-    motion = motion._replace(bodies={printable(name): poses for name, poses in motion.bodies.items()})
-    for name, poses in motion.bodies.items():
+        remarks.append(f"{owner} has {frames} frames, {motion.missing} fewer than its header says.")
+    bodies = {printable(name): poses for name, poses in motion.bodies.items()}
+    for name, poses in bodies.items():
         _clear_lost(poses, f"{name} in {owner}", motion.lines, remarks)
-    return motion._replace(remarks=tuple(remarks))
+    return motion._replace(bodies=bodies, remarks=tuple(remarks))
 
 
 def _is_export(text: str) -> bool:
@@ -151,13 +154,15 @@ def _numbers_of(
 
 
 def _motive(rows: list[list[str]], path: Path) -> Motion:
-    owner, header = path.name, dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    owner = path.name
+    header = {"Coordinate Space": "Global"} | dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     version = header.get("Format Version", "nothing")
     require(re.fullmatch(r"1\.2\d", version), "Format Version", owner, "1.20 to 1.29", version)
-    for key, known in {"Rotation Type": ("Quaternion",), "Length Units": tuple(_LENGTH_UNITS)}.items():
-        require(header.get(key) in known, key, owner, " or ".join(known), header.get(key, "nothing"))
-    space = header.get("Coordinate Space", "Global")
-    require(space == "Global", "Coordinate Space", owner, "Global", space)
+    known = {
+        "Rotation Type": ("Quaternion",), "Length Units": tuple(_LENGTH_UNITS), "Coordinate Space": ("Global",)
+    }  # fmt: skip
+    for key, values in known.items():
+        require(header.get(key) in values, key, owner, " or ".join(values), header.get(key, "nothing"))
     try:
         rate_hz, announced = float(header["Export Frame Rate"]), int(header["Total Exported Frames"])
         axes = next(k for k, row in enumerate(rows) if row[:1] == ["Frame"])
@@ -188,19 +193,17 @@ def _vicon(rows: list[list[str]], path: Path) -> Motion:
     end = next((k for k, row in enumerate(rows) if k > first + 5 and not any(row)), len(rows))
     header = [*rows[first : first + 5], *5 * [[""]]]
     starts = [k for k in range(len(header[3])) if header[3][k : k + 6] == wanted]
-    units = {"rad": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-    known = all(len(own := header[4][k : k + 6]) == 6 and {*own} <= {*units} for k in starts)
-    if not (starts and known and re.fullmatch(r"[\d.]+", header[1][0])):
-        words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
-        raise bad_input("header", owner, words, "another")
+    known = all(len(own := header[4][k : k + 6]) == 6 and {*own} <= {*SI} for k in starts)
+    stated = starts and known and re.fullmatch(r"[\d.]+", header[1][0])
+    words = "of Vicon: a rate, names, RX, RY, RZ, TX, TY, TZ of each segment, and their units"
+    require(stated, "header", owner, words, "another")
     table, lines = _numbers_of(rows, first + 5, end, [0, *(k + c for k in starts for c in range(6))], owner)
     bodies, rate_hz = dict[str, Array](), float(header[1][0])
     for n, k in enumerate(starts):
-        own = table[:, 1 + 6 * n : 7 + 6 * n] * [units[unit] for unit in header[4][k : k + 6]]
-        q = np.zeros((len(own), 4))
-        there = np.isfinite(own).all(1)
-        q[there] = Rotation.from_rotvec(own[there, :3]).as_quat()
-        bodies[header[2][k]] = np.concatenate([q, own[:, 3:]], axis=1)
+        own = table[:, 1 + 6 * n : 7 + 6 * n] * [SI[unit] for unit in header[4][k : k + 6]]
+        q = Rotation.from_rotvec(np.nan_to_num(own[:, :3])).as_quat()
+        there = np.isfinite(own).all(axis=1, keepdims=True)
+        bodies[header[2][k]] = np.concatenate([q * there, own[:, 3:]], axis=1)
     return Motion(path.stem, None, rate_hz, (table[:, 0] - 1) / rate_hz, bodies, lines)
 
 
@@ -208,39 +211,36 @@ def _qualisys(rows: list[list[str]], path: Path) -> Motion:
     rows = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
     axes = next((k for k, row in enumerate(rows) if row[:2] == ["Frame", "Time"]), 0)
     header = {row[0]: row[1:] for row in rows[:axes] if row}
-    names, block = header.get("BODY_NAMES", []), ["X", "Y", "Z"]
-    whole = axes and all(rows[axes][2 + 16 * n :][:3] == block for n in range(len(names)))
-    if not (names and whole and "Rot[0]" in rows[axes]):
-        words = (
-            "of Qualisys 6D: BODY_NAMES, then Frame, Time, and X, Y, Z, angles, Residual, Rot[0] to Rot[8]"
-        )
-        raise bad_input("header", path.name, words, "another")
+    names = header.get("BODY_NAMES", [])
+    whole = axes and all(rows[axes][2 + 16 * n :][:3] == ["X", "Y", "Z"] for n in range(len(names)))
+    words = "of Qualisys 6D: BODY_NAMES, then Frame, Time, and X, Y, Z, angles, Residual, Rot[0] to Rot[8]"
+    require(names and whole and "Rot[0]" in rows[axes], "header", path.name, words, "another")
     wanted = [1, *(2 + 16 * n + c for n in range(len(names)) for c in (0, 1, 2, *range(7, 16)))]
     table, lines = _numbers_of(rows, axes + 1, len(rows), wanted, path.name)
     bodies = dict[str, Array]()
     for n, name in enumerate(names):
         own = table[:, 1 + 12 * n : 13 + 12 * n]
-        R, q = own[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2), np.zeros((len(own), 4))  # by columns
+        R = own[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2)  # by columns
         there = np.isfinite(R).all((1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(R)) - 1) < 0.01)
-        q[there] = Rotation.from_matrix(R[there]).as_quat()
-        bodies[name] = np.concatenate([q, 1e-3 * own[:, :3]], axis=1)
-    try:
+        q = Rotation.from_matrix(np.where(there[:, None, None], R, np.eye(3))).as_quat()
+        bodies[name] = np.concatenate([q * there[:, None], 1e-3 * own[:, :3]], axis=1)
+    started = None
+    with suppress(KeyError, ValueError, IndexError):
         started = datetime.strptime(header["TIME_STAMP"][0], "%Y-%m-%d, %H:%M:%S.%f")
-    except (KeyError, ValueError, IndexError):
-        started = None
     rate_hz = float(header.get("FREQUENCY", ["nan"])[0])
     return Motion(path.stem, started, rate_hz, table[:, 0], bodies, lines)
 
 
 def _motion_of(table: Table) -> Motion:
-    bodies, remarks = bodies_of(table), list(table.remarks)
-    if table.times is None or len(table.times) < 2:
+    """Return the bodies of a table."""
+    bodies, remarks, times = bodies_of(table), list(table.remarks), table.times
+    if times is None or len(times) < 2:
         expected = "there: a column time_s, or a file of Motive, Vicon or Qualisys"
         raise bad_input("times", table.owner, expected, "none")
     for name, poses in bodies.items():
         _clear_lost(poses, f"body {name} in {table.owner}", table.lines, remarks)
-    rate_hz = 1 / float(np.median(np.diff(table.times)))
-    return Motion(Path(table.owner).stem, None, rate_hz, table.times, bodies, table.lines, tuple(remarks))
+    rate_hz = 1 / float(np.median(np.diff(times)))
+    return Motion(Path(table.owner).stem, None, rate_hz, times, bodies, table.lines, tuple(remarks))
 
 
 def _clear_lost(poses: Array, owner: str, lines: Sequence[int], remarks: list[str]) -> None:
@@ -276,12 +276,8 @@ def _clear_frozen(values: Array, place: Array, what: str, lines: Sequence[int], 
         if step[k] > _JUMP_STEPS * np.median(step):
             frozen[seen[last[k] - length[k] + 2 : last[k] + 1]] = True
     values[frozen] = np.nan
-    _say(
-        frozen,
-        f"{what} left out, which only repeat the one before, more than {_FROZEN} in a row",
-        lines,
-        remarks,
-    )
+    what += f" left out, which only repeat the one before, more than {_FROZEN} in a row"
+    _say(frozen, what, lines, remarks)
 
 
 def _say(rows: Array, what: str, lines: Sequence[int], remarks: list[str]) -> None:
@@ -306,14 +302,21 @@ class Poses(NamedTuple):
     """Where the rows stand in the file."""
     remarks: tuple[str, ...]
     """What was left out."""
-    known: dict[str, Any]
-    """``window_s`` ``[t, 2]`` of rows that say when they start and end [s], and by which ``clock``; from bodies the
-    measured ``tip`` ``[t, 3]`` [m], ``residual`` ``[t]`` [m], ``covariance``, the :class:`Motion`, and configurations
-    ``turned`` ``[t, n_q]`` that fit as well, by the angle of the base about the straight robot [deg]."""
+    windows: Array | None = None
+    """When rows start and end ``[t, 2]`` [s], if they say so."""
+    clock: str = ""
+    """By which clock: that of the readings, or ``board_`` or ``unix_``."""
+    turned: Mapping[int, Array] = MappingProxyType({})
+    """Configurations ``[t, n_q]`` that fit as well, by the angle of the base about the straight robot [deg]."""
 
 
 def read_poses(
-    robot: Assembly, path: Any, *, bodies: Sequence[str] = (), straight_s: float = 0.0, covariance: Any = None
+    robot: Assembly,
+    path: object,
+    *,
+    bodies: Sequence[str] = (),
+    straight_s: float = 0.0,
+    covariance: ArrayLike | None = None,
 ) -> Poses:
     """Read measured poses of a robot: from its coordinates, or from bodies on the ends of its segments.
 
@@ -351,24 +354,20 @@ def read_poses(
         return _fitted(robot, _motion_of(table), table.owner, bodies, straight_s, covariance)
     given = "coordinates of the robot, and bodies or a straight start beside them"
     require(not (straight_s or bodies), "poses", table.owner, "bodies", given)
-    q, times, remarks, known = (
-        configurations_of(robot, table),
-        table.times,
-        list(table.remarks),
-        dict[str, Any](),
-    )
-    pairs = {clock: (f"start_{clock}s", f"end_{clock}s") for clock in ("unix_", "board_", "")}
-    if clocks := [clock for clock, pair in pairs.items() if {*pair} <= {*table.names}]:
-        window = np.stack([table.scaled(name)[0] for name in pairs[clocks[0]]], axis=1)
-        known, times = {"window_s": window, "clock": clocks[0]}, window.mean(axis=1)
+    q, times, remarks = configurations_of(robot, table), table.times, list(table.remarks)
+    clocks = [x for x in ("unix_", "board_", "") if {f"start_{x}s", f"end_{x}s"} <= {*table.names}]
+    windows, clock = None, "".join(clocks[:1])
+    if clocks:
+        ends = [table.scaled(f"{end}_{clock}s")[0] for end in ("start", "end")]
+        windows, times = np.stack(ends, axis=1), np.mean(ends, axis=0)
     elif times is not None and len(times) > 1 and np.median(np.diff(times)) < _FRAME_S:
         zero = np.asarray((q == 0).all(axis=1))
         if robot.n_q > 1 and zero.mean() < 0.5:
             q[zero] = np.nan
         _clear_frozen(q, q, f"Rows of {table.owner}", table.lines, remarks)
     _say(np.asarray(np.isnan(q).any(axis=1)), f"Rows of {table.owner} without a pose", table.lines, remarks)
-    _clear_outside(robot, q, table.owner, table.lines, remarks, covariance)
-    return Poses(times, q, table.lines, tuple(remarks), known)
+    _clear_outside(robot, q, table.owner, table.lines, remarks, covariance, "(units, axes, bounds?)")
+    return Poses(times, q, table.lines, tuple(remarks), windows, clock)
 
 
 def _clear_outside(
@@ -377,8 +376,8 @@ def _clear_outside(
     owner: str,
     lines: Sequence[int],
     remarks: list[str],
-    covariance: Any,
-    hint: str = "(units, axes, bounds?)",
+    covariance: ArrayLike | None,
+    hint: str,
 ) -> None:
     """Make poses NaN that are outside the robot's bounds; refuse some that are far, or most of them."""
     if robot.lower is None or robot.upper is None:
@@ -448,7 +447,12 @@ def _straightened(robot: Assembly, T: Array, rest: Array) -> tuple[dict[int, Arr
 
 
 def _fitted(
-    robot: Assembly, motion: Motion, owner: str, bodies: Sequence[str], straight_s: float, covariance: Any
+    robot: Assembly,
+    motion: Motion,
+    owner: str,
+    bodies: Sequence[str],
+    straight_s: float,
+    covariance: ArrayLike | None,
 ) -> Poses:
     """Return the configurations that fit bodies best."""
     names, T = _bodies_on_ends(robot, motion, owner, bodies)
@@ -457,12 +461,10 @@ def _fitted(
         ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names, owner))
         T = ways[0]
         axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
-        x, _, z = (
-            "-+"[int(own[k] > 0)] + "xyz"[k] for own, k in zip(axes.T, np.abs(axes).argmax(0), strict=True)
-        )
-        remarks.append(
-            f"By the axes of {owner}, the straight robot points along {z}, and x of its base along {x}."
-        )
+        largest = np.abs(axes).argmax(axis=0)
+        x, _, z = ("-+"[int(own[k] > 0)] + "xyz"[k] for own, k in zip(axes.T, largest, strict=True))
+        said = f"the straight robot points along {z}, and x of its base along {x}."
+        remarks.append(f"By the axes of {owner}, {said}")
     require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
 
     shapes = fit_shape(robot, T, times=motion.times)
@@ -471,17 +473,16 @@ def _fitted(
     remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
     hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
     hint += "A straight start tells the axes: --straight-s)"
-    expected = f"those that the robot can take, {hint}"
-    require(typical < most, "poses", owner, expected, f"poses {1e3 * typical:.3g} mm from the nearest shape")
+    received = f"poses {1e3 * typical:.3g} mm from the nearest shape"
+    require(typical < most, "poses", owner, f"those that the robot can take, {hint}", received)
     _check_turns(shapes.residuals[..., 3:], names, owner)
 
     far = miss > most
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
     _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
-    found = {"tip": T[:, -1, :3, 3], "residual": miss, "covariance": shapes.covariance, "motion": motion}
-    found["turned"] = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
-    return Poses(motion.times, q, motion.lines, tuple(remarks), found)
+    turned = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
+    return Poses(motion.times, q, motion.lines, tuple(remarks), turned=turned)
 
 
 def _bodies_on_ends(
@@ -517,7 +518,7 @@ JUMP, HALF_TURN, ALIKE, REST = np.radians([90.0, 170.0, 15.0, 5.0])
 that count as equal, and at the ends of a stretch that was turned back."""
 
 
-def undo_exchanges(quaternions: Any) -> tuple[Array, Array]:
+def undo_exchanges(quaternions: ArrayLike) -> tuple[Array, Array]:
     """Turn a rigid body back in the frames in which motion capture took its markers for each other.
 
     Markers that lie nearly symmetrically are now and then exchanged. The body is then seen turned by a half turn in
@@ -553,9 +554,8 @@ def undo_exchanges(quaternions: Any) -> tuple[Array, Array]:
     """
     rows = numbers(quaternions, "quaternions", "undo_exchanges", (None, 4), finite=False)
     there = np.flatnonzero(np.isfinite(rows).all(axis=1))
-    require(
-        len(there), "quaternions", "undo_exchanges", "there in one frame or more", f"{len(rows)} lost frames"
-    )
+    expected = "there in one frame or more"
+    require(len(there), "quaternions", "undo_exchanges", expected, f"{len(rows)} lost frames")
     q, n = rows[there], len(there)
     seen: Any = Rotation.from_quat(q)
     right, last = np.ones(n, dtype=bool), q[0]

@@ -6,14 +6,16 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro.common import Array, InputError, bad_input, printable, require
 from repro.lines import (
@@ -35,7 +37,7 @@ from repro.lines import (
     unit_of,
     unwrapped,
 )
-from repro.parts import Assembly, Sensor
+from repro.parts import Assembly, Imu, Sensor
 
 _DIGITS = re.compile(r"[-+.0-9eE]*")
 _COMMENT = ("#", "%")
@@ -59,7 +61,7 @@ class Readings(np.ndarray):
     remarks: tuple[str, ...] = ()
     without_times: bool = False
 
-    def __array_finalize__(self, source: Any) -> None:
+    def __array_finalize__(self, source: Array | None) -> None:
         """Take what is known of the rows of an array of the same shape."""
         if isinstance(source, Readings) and source.shape == self.shape:
             self.__dict__.update(source.__dict__)
@@ -76,23 +78,26 @@ class Readings(np.ndarray):
                 (found.times, found.lines), found.without_times = own, self.without_times
         return found
 
-    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+    def __array_function__(
+        self, func: Any, types: Iterable[type], args: Iterable[object], kwargs: Mapping[str, object]
+    ) -> Any:
         """Let ``numpy.where``, ``numpy.concatenate`` and others return readings, too."""
-        found = super().__array_function__(function, types, args, kwargs)
+        found = super().__array_function__(func, types, args, kwargs)
         if type(found) is np.ndarray and found.ndim > 1:
             found = found.view(Readings)
             found.__array_finalize__(self)
         return found
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         """Return what is pickled."""
-        make, args, state = super().__reduce__()
-        return make, args, (state, self.__dict__)
+        return _readings, (np.asarray(self), vars(self))
 
-    def __setstate__(self, state: Any) -> None:
-        """Take what was pickled."""
-        super().__setstate__(state[0])
-        self.__dict__.update(state[1])
+
+def _readings(values: Array, facts: Mapping[str, object]) -> Readings:
+    """Return readings of which facts are known."""
+    found = values.view(Readings)
+    found.__dict__.update(facts)
+    return found
 
 
 class Table(NamedTuple):
@@ -111,6 +116,11 @@ class Table(NamedTuple):
     times: Array | None
     remarks: tuple[str, ...] = ()
     refusals: Mapping[str, InputError] = MappingProxyType({})
+
+    def require_numbers(self, column: int) -> None:
+        """Refuse a column that cannot be used."""
+        if self.columns[column] in self.refusals:
+            raise self.refusals[self.columns[column]]
 
     def scaled(self, name: str, units: Sequence[str] = ("",)) -> tuple[Array, str]:
         """Return the column of a name in SI units, and its own unit; refuse other units than those named."""
@@ -148,54 +158,46 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
         return source
     remarks: list[str] = []
     if isinstance(source, str | Path):
-        owner = printable(Path(source).name)
-        require(Path(source).is_file(), "table", "read_table", "a file that exists", source)
-        cells = _file(text_of(Path(source), remarks), owner, remarks)
+        table, restarts = _file(Path(source), remarks)
     else:
-        owner, kind = "the table", type(source).__name__
-        require(hasattr(source, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
-        cells = _frame(_with_times(source.infer_objects(), remarks), owner)
-    header, split, values, lines, refusals, _ = cells
-    require(len(values), "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    clock = [k for k, (name, _) in enumerate(split) if is_time(name)]
+        table, restarts = _frame(source, remarks), []
+    require(
+        len(table.values), "file", table.owner, "a line of names and lines of numbers", "0 lines of numbers"
+    )
+    clock = [k for k, name in enumerate(table.names) if is_time(name)]
     for k in clock:
-        if header[k] in refusals:
-            raise refusals[header[k]]
-    times = _times(cells, clock, owner, remarks) if clock else None
-    keep = [k for k, name in enumerate(header) if k not in clock and (k or name.strip())]
-    columns, names, units = ([x[k] for k in keep] for x in (header, *map(list, zip(*split, strict=True))))
-    infinite = np.isinf(values[:, keep])
-    values = np.where(infinite, np.nan, values[:, keep])
-    table = Table(owner, tuple(columns), tuple(names), tuple(units), values, lines, times, (), refusals)
+        table.require_numbers(k)
+    times = _times(table, clock, restarts, remarks) if clock else None
+    keep = [k for k, column in enumerate(table.columns) if k not in clock and (k or column.strip())]
+    columns, names, units = (tuple(x[k] for k in keep) for x in (table.columns, table.names, table.units))
+    infinite = np.isinf(table.values[:, keep])
+    values = np.where(infinite, np.nan, table.values[:, keep])
+    table = table._replace(columns=columns, names=names, units=units, values=values, times=times)
     table = _put_together(table, remarks)
     times = table.times
     if times is not None:
-        times = spread(times, table.lines, owner, remarks)
+        times = spread(times, table.lines, table.owner, remarks)
     elif rate_hz is not None:
         times = np.arange(len(table.values)) / rate_hz
-    _count(int(infinite.sum()), infinite.size, f"numbers of {owner}", "missing: infinite", remarks)
+    _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
     return table._replace(times=times, remarks=tuple(remarks))
 
 
-class _Cells(NamedTuple):
-    """Columns, their names and units, numbers and lines; why a column cannot be used; where names came again."""
-
-    header: list[str]
-    split: list[tuple[str, str]]
-    values: Array
-    lines: Sequence[int]
-    refusals: dict[str, InputError]
-    restarts: Sequence[int] = ()
-
-
-def _frame(frame: Any, owner: str) -> _Cells:
-    header, values, refusals = [str(name) for name in frame.columns], np.full(frame.shape, np.nan), {}
+def _frame(frame: Any, remarks: list[str]) -> Table:
+    """Return all columns of a data frame."""
+    owner, kind = "the table", type(frame).__name__
+    require(hasattr(frame, "infer_objects"), "table", "read_table", "a data frame or a path", kind)
+    frame = _with_times(frame.infer_objects(), remarks)
+    header = [str(name) for name in frame.columns]
+    values, refusals = np.full(frame.shape, np.nan), dict[str, InputError]()
     for k, (name, dtype) in enumerate(zip(header, frame.dtypes, strict=True)):
         if dtype.kind in "fiu":
             values[:, k] = frame.iloc[:, k].to_numpy(dtype=float, na_value=np.nan)
         else:
             refusals[name] = bad_input(f"column {name}", owner, "of numbers", f"{dtype} values")
-    return _Cells(header, [name_and_unit(x) for x in header], values, range(1, len(frame) + 1), refusals)
+    require(header, "table", owner, "one with columns", "none")
+    names, units = zip(*map(name_and_unit, header), strict=True)
+    return Table(owner, tuple(header), names, units, values, range(1, len(frame) + 1), None, (), refusals)
 
 
 def _with_times(frame: Any, remarks: list[str]) -> Any:
@@ -221,10 +223,11 @@ def text_of(path: Path, remarks: list[str]) -> str:
     """Return the text of a file; other than UTF-8 and UTF-16 with a byte order mark it is told or refused."""
     content = path.read_bytes()
     marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    few_zeros = 10 * content[:1000].count(0) <= len(content[:1000])  # they are damage
+    received = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
+    expected = "text in UTF-8, or in UTF-16 with a byte order mark"
+    require(marked or few_zeros, "file", path.name, expected, received)
     try:
-        if 10 * content[:1000].count(0) > len(content[:1000]) and not marked:  # fewer are damage
-            words = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
-            raise bad_input("file", path.name, "text in UTF-8, or in UTF-16 with a byte order mark", words)
         return content.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
@@ -234,61 +237,60 @@ def text_of(path: Path, remarks: list[str]) -> str:
 
 def _printed(text: str, owner: str, remarks: list[str]) -> list[tuple[int, str]]:
     """Return the lines with anything in them, and their numbers; the last one may be cut."""
-    kept = _joined([(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)])
-    kept = [(k, _bare(line)) for k, line in kept if line.strip() and not line.startswith("sep=")]
+    whole = _joined([(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)])
+    kept = [(k, line) for k, line in whole if line.strip() and not line.startswith("sep=")]
+    # Without what Python, JSON and plotters put around the numbers.
+    kept = [(k, ":".join(plotted(line) or (unwrapped(line),))) for k, line in kept]
     if len(kept) > 2 and text[-1] not in "\r\n":
         parts = [re.split(r"[.,;:\s]+", line) for _, line in kept[-100:]]
         if {len(part[-1]) for part in parts[:-1] if len(part) == len(parts[-1])} != {len(parts[-1][-1])}:
             cut = "does not end, and its last cell may be cut: it is left out."
             remarks.append(f"Line {kept.pop()[0]} of {owner} {cut}")
-    return kept
-
-
-def _file(text: str, owner: str, remarks: list[str]) -> _Cells:
-    kept = _printed(text, owner, remarks)
-    plain = [line for _, line in kept if not line.startswith(_COMMENT)]
-    require(plain, "file", owner, "a table", "nothing")
-    lines = [k for k, _ in kept]
-    marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
-    mark = marks.most_common(1)[0][0]
-    if mark == ":":
-        rows, lines = _labelled(kept), [0, *lines]
-    else:
-        rows = [_cells(line, mark, owner) for _, line in kept]
-    printed = list(zip(rows, lines, strict=True))
-    names, units, rows, lines, damaged = _named(rows, lines, mark, owner, remarks)
-    restarts = [line for row, line in printed if row == names][1:]
-    header = [printable(name) for name in names or ()] or [f"column {k}" for k in range(1, len(rows[0]) + 1)]
-    split = _split(None if names is None else header, units, rows[0], owner, remarks)
-    values, bad = _values(rows, [k for k, (name, _) in enumerate(split) if is_time(name)])
-    refusals, spoilt = _judged(bad, rows, lines, header, split, owner)
-    damaged = sorted([*damaged, *(lines[k] for k in spoilt)])
-    if damaged:
-        n, first = len(rows) + len(damaged) - len(spoilt), f"(the first: line {damaged[0]})"
-        _count(len(damaged), n, f"lines of {owner}", f"damaged and left out {first}", remarks)
-    use = [k for k in range(len(rows)) if k not in spoilt]
-    return _Cells(header, split, values[use], [lines[k] for k in use], refusals, restarts)
+    return [(k, line) for k, line in kept if line]
 
 
 def _joined(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
     """Put lines together that one quoted cell spans, as a name with its unit below it may."""
     found: list[tuple[int, str]] = []
-    quotes = 0
     for k, line in lines:
-        own = line.count('"')
-        if quotes % 2 and own:
+        if '"' in line and found and found[-1][1].count('"') % 2:
             found[-1] = found[-1][0], f"{found[-1][1]} {line}"
-            quotes += own
         else:
             found.append((k, line))
-            quotes = own
     return found
 
 
-def _bare(line: str) -> str:
-    """Return a line without what Python, JSON and plotters put around the numbers."""
-    single = plotted(line)
-    return ":".join(single) if single else unwrapped(line)
+def _file(path: Path, remarks: list[str]) -> tuple[Table, list[int]]:
+    """Return all columns of a file, and the lines in which its names come again."""
+    owner = printable(path.name)
+    require(path.is_file(), "table", "read_table", "a file that exists", path)
+    printed = _printed(text_of(path, remarks), owner, remarks)
+    plain = [line for _, line in printed if not line.startswith(_COMMENT)]
+    require(plain, "file", owner, "a table", "nothing")
+    marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
+    mark = marks.most_common(1)[0][0]
+    rows = _labelled(printed) if mark == ":" else [_Row(k, _cells(line, mark, owner)) for k, line in printed]
+    given, units, body, damaged = _named(rows, mark, owner, remarks)
+    restarts = [row.line for row in rows if row.cells == given][1:]
+    header = tuple(map(printable, given)) or tuple(f"column {k + 1}" for k in range(len(body[0].cells)))
+    split = _split(header if given else (), units, body[0].cells, owner, remarks)
+    names, units = zip(*split, strict=True)
+    values, bad = _values([row.cells for row in body], [k for k, name in enumerate(names) if is_time(name)])
+    refusals, spoilt = _judged(bad, body, header, names, owner)
+    damaged = sorted([*damaged, *(body[k].line for k in spoilt)])
+    if damaged:
+        n, first = len(body) + len(damaged) - len(spoilt), f"(the first: line {damaged[0]})"
+        _count(len(damaged), n, f"lines of {owner}", f"damaged and left out {first}", remarks)
+    use = [k for k in range(len(body)) if k not in spoilt]
+    lines = [body[k].line for k in use]
+    return Table(owner, header, names, units, values[use], lines, None, (), refusals), restarts
+
+
+class _Row(NamedTuple):
+    """A line of a table."""
+
+    line: int
+    cells: list[str]
 
 
 def _labels(line: str) -> dict[str, str]:
@@ -298,15 +300,16 @@ def _labels(line: str) -> dict[str, str]:
     return {"time": stamp, **found} if arrow and found else found
 
 
-def _labelled(kept: list[tuple[int, str]]) -> list[list[str]]:
+def _labelled(printed: list[tuple[int, str]]) -> list[_Row]:
     """Return lines with labels as a table with names; a label that hardly any line has is none."""
-    found = [(line, _labels(line)) for _, line in kept]
-    times = Counter(name for _, labels in found for name in labels)
-    names = [name for name, n in times.items() if n > len(kept) / 50]
+    found = [(k, line, _labels(line)) for k, line in printed]
+    times = Counter(name for _, _, labels in found for name in labels)
+    names = [name for name, n in times.items() if n > len(printed) / 50]
     rows = [
-        [row.get(name, "") for name in names] if row.keys() & {*names} else [line, ""] for line, row in found
+        _Row(k, [labels.get(name, "") for name in names] if labels.keys() & {*names} else [line, ""])
+        for k, line, labels in found
     ]
-    return [names, *rows]
+    return [_Row(0, names), *rows]
 
 
 def _cells(line: str, mark: str, owner: str) -> list[str]:
@@ -326,113 +329,99 @@ def _is_comment(cell: str) -> bool:
 
 def _filled(row: Sequence[str]) -> int:
     """Return the number of cells without the empty ones at the end."""
-    n = len(row)
-    while n and not row[n - 1]:
-        n -= 1
-    return n
+    return max((k for k, cell in enumerate(row, 1) if cell), default=0)
 
 
 def _named(
-    rows: list[list[str]], lines: list[int], mark: str, owner: str, remarks: list[str]
-) -> tuple[list[str] | None, list[str], list[list[str]], list[int], list[int]]:
-    """Return names (None if there are none), units, cells and lines of a table, and lines that are damaged."""
-    plain = [k for k, row in enumerate(rows) if not (row and _is_comment(row[0]))]
-    width = Counter(len(rows[k]) for k in plain).most_common(1)[0][0]
+    rows: list[_Row], mark: str, owner: str, remarks: list[str]
+) -> tuple[list[str], list[str], list[_Row], list[int]]:
+    """Return names (empty if there are none), units and lines of a table, and the numbers of damaged ones."""
+    plain = [k for k, (_, cells) in enumerate(rows) if not (cells and _is_comment(cells[0]))]
+    width = Counter(len(rows[k].cells) for k in plain).most_common(1)[0][0]
     first = _first(rows, plain, width)
-    above = [k for k in plain if k < first]
-    rows, lines = [rows[k] for k in above] + rows[first:], [lines[k] for k in above] + lines[first:]
-    n, (names, units, lost) = len(above), _head(rows[: len(above)], width, lines, owner)
-    _count(lost, len(rows), f"lines of {owner}", "above the table and left out", remarks)
-    end = len(rows)
-    while end > n and not any(rows[end - 1]):
-        end -= 1
-    _count(len(rows) - end, len(rows), f"lines of {owner}", "empty, at the end, and left out", remarks)
-    own = [
-        k
-        for k in range(n, end)
-        if not _is_comment(rows[k][0])
-        and (any(map(is_number, filter(None, rows[k]))) or (len(rows[k]) == width and rows[k] != names))
+    above, below = [rows[k] for k in plain if k < first], rows[first:]
+    names, units, lost = _head(above, width, owner)
+    total = len(above) + len(below)
+    _count(lost, total, f"lines of {owner}", "above the table and left out", remarks)
+    end = max((k for k, row in enumerate(below, 1) if any(row.cells)), default=0)
+    _count(len(below) - end, total, f"lines of {owner}", "empty, at the end, and left out", remarks)
+    body = [
+        row
+        for row in below[:end]
+        if not _is_comment(row.cells[0])
+        and (any(map(is_number, filter(None, row.cells))) or (len(row.cells) == width and row.cells != names))
     ]
-    _count(end - n - len(own), len(rows), f"lines of {owner}", "text and left out", remarks)
-    require(own, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
-    body, at = [rows[k] for k in own], [lines[k] for k in own]
-    n, damaged = _damaged(body, names, at, owner)
-    use = [k for k in range(len(body)) if k not in damaged]
-    cells = [cell for k in use for cell in body[k]] if mark == "," and not names else []
+    _count(end - len(body), total, f"lines of {owner}", "text and left out", remarks)
+    require(body, "file", owner, "a line of names and lines of numbers", "0 lines of numbers")
+    n, damaged = _damaged(body, names, owner)
+    whole = [_Row(row.line, row.cells[:n]) for k, row in enumerate(body) if k not in damaged]
+    cells = [cell for row in whole for cell in row.cells] if mark == "," and not names else []
     if any(re.fullmatch(r"0\d+", cell) for cell in cells) and not any("." in cell for cell in cells):
         raise bad_input("file", owner, f"of numbers with decimal points{_HINT}", "numbers such as 0123")
-    return (
-        names and names[:n], [*units, *n * [""]][:n], [body[k][:n] for k in use], [at[k] for k in use],
-        [at[k] for k in sorted(damaged)],
-    )  # fmt: skip
+    return names[:n], [*units, *n * [""]][:n], whole, [body[k].line for k in sorted(damaged)]
 
 
-def _first(rows: list[list[str]], plain: list[int], width: int) -> int:
+def _first(rows: list[_Row], plain: list[int], width: int) -> int:
     """Return the first line with numbers in all columns that have any in most lines: others may have text."""
-    found = [k for k in plain if len(rows[k]) == width and any(rows[k])]
-    some = [[is_number(cell) for cell in rows[k]] for k in found[:: 1 + len(found) // 200]]
+    found = [k for k in plain if len(rows[k].cells) == width and any(rows[k].cells)]
+    some = [[is_number(cell) for cell in rows[k].cells] for k in found[:: 1 + len(found) // 200]]
     numeric = np.mean([row for row in some if any(row)] or [[False] * width], axis=0) >= 0.5
-    numeric = numeric if numeric.any() else np.ones(width, dtype=bool)
-    whole = (k for k in found if all(is_number(x) for x, own in zip(rows[k], numeric, strict=True) if own))
+    columns = np.flatnonzero(numeric if numeric.any() else ~numeric)
+    whole = (k for k in found if all(is_number(rows[k].cells[c]) for c in columns))
     return next(whole, plain[0] + 1)
 
 
-def _head(
-    above: list[list[str]], width: int, lines: Sequence[int], owner: str
-) -> tuple[list[str] | None, list[str], int]:
+def _head(above: list[_Row], width: int, owner: str) -> tuple[list[str], list[str], int]:
     """Return names and units in the lines above the numbers, and how many of these say nothing."""
 
     def may_name(row: list[str]) -> bool:
         return (len(row) > 1 or width == 1) and not all(map(is_number, row))
 
-    j, names, units, lost = len(above), None, [], 0
-    if j and any(above[j - 1]) and None not in (found := [unit_of(cell) for cell in above[j - 1]]):
-        j, units = j - 1, [unit or "" for unit in found]
+    rows, names, units, lost = [row.cells for row in above], [], [], 0
+    if rows and any(rows[-1]) and None not in (found := [unit_of(cell) for cell in rows[-1]]):
+        units = [unit or "" for unit in found]
+        rows.pop()
     # Names differ from each other; below them some programs write a line of types.
     while (
-        j > 1
-        and may_name(above[j - 2])
-        and len({*above[j - 2]}) == len(above[j - 2]) == len(above[j - 1]) > len({*above[j - 1]})
+        len(rows) > 1
+        and may_name(rows[-2])
+        and len({*rows[-2]}) == len(rows[-2]) == len(rows[-1]) > len({*rows[-1]})
     ):
-        j, lost = j - 1, lost + 1
-    if j and may_name(above[j - 1]):
-        j, names = j - 1, above[j - 1]
+        rows.pop()
+        lost += 1
+    if rows and may_name(rows[-1]):
+        names = rows.pop()
         if any(re.fullmatch(r"[+-]?\d*[.,]\d+", cell) for cell in names):
-            word, where = next(cell for cell in names if not is_number(cell)), f"{owner}, line {lines[j]},"
+            word = next(cell for cell in names if not is_number(cell))
+            where = f"{owner}, line {above[len(rows)].line},"
             raise bad_input("cell", where, "a number, or all of them names", repr(word))
-    return names, units, j + lost
+    return names, units, len(rows) + lost
 
 
-def _damaged(
-    body: list[list[str]], names: list[str] | None, lines: Sequence[int], owner: str
-) -> tuple[int, set[int]]:
+def _damaged(body: list[_Row], names: list[str], owner: str) -> tuple[int, set[int]]:
     """Return how many cells a line has, and which lines have others; refuse more than a few."""
-    sizes = [_filled(row) for row in body]
-    usual = max(
-        size
-        for size, k in Counter(sizes).items()
-        if _FEW * k > len(body) or k == max(Counter(sizes).values())
-    )
-    n = _filled(names) if names else usual
-    damaged = {k for k, row in enumerate(body) if len(row) < n or sizes[k] > n}
+    sizes = [_filled(row.cells) for row in body]
+    times = Counter(sizes)
+    usual = max(size for size, k in times.items() if _FEW * k > len(body) or k == max(times.values()))
+    n = _filled(names) or usual
+    damaged = {k for k, row in enumerate(body) if len(row.cells) < n or sizes[k] > n}
     if damaged and _FEW * len(damaged) > len(body):
-        k = min(damaged)
-        words = "as the line of names" + _HINT * (sizes[k] > n) if names else "as the others"
-        raise bad_input(f"line {lines[k]}", owner, f"of {n} cells, {words}", len(body[k]))
+        first = body[min(damaged)]
+        words = "as the line of names" + _HINT * (_filled(first.cells) > n) if names else "as the others"
+        raise bad_input(f"line {first.line}", owner, f"of {n} cells, {words}", len(first.cells))
     return n, damaged
 
 
 def _split(
-    header: list[str] | None, units: list[str], row: list[str], owner: str, remarks: list[str]
+    header: Sequence[str], units: list[str], row: list[str], owner: str, remarks: list[str]
 ) -> list[tuple[str, str]]:
     """Return names and units of columns; without a line of names a first column of clock times has one."""
-    if header is None:
+    split = [name_and_unit(name) for name in header]
+    if not header:
         first = int(is_clock(row[0]))
-        split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(row) + 1 - first)]
         require(len(row) > first, "table", owner, "of times and numbers", "times alone")
+        split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(row) + 1 - first)]
         remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
-    else:
-        split = [name_and_unit(name) for name in header]
     return [
         (name, own or UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
         for (name, own), unit, cell in zip(split, units, row, strict=True)
@@ -458,18 +447,17 @@ def _values(rows: list[list[str]], clock: list[int]) -> tuple[Array, dict[int, l
 
 
 def _judged(
-    bad: dict[int, list[int]], rows: list[list[str]], lines: Sequence[int], header: list[str],
-    split: list[tuple[str, str]], owner: str,
-) -> tuple[dict[str, InputError], set[int]]:  # fmt: skip
+    bad: dict[int, list[int]], rows: list[_Row], header: Sequence[str], names: Sequence[str], owner: str
+) -> tuple[dict[str, InputError], set[int]]:
     """Return why columns cannot be used in which many cells are no numbers, and the rows of few such cells."""
     spoilt = {k for own in bad.values() if _FEW * len(own) <= len(rows) for k in own}
     spoilt = spoilt if _FEW * len(spoilt) <= len(rows) else set()
     refusals = {}
     for c, own in bad.items():
         if not spoilt.issuperset(own):
-            where = f"{owner}, line {lines[own[0]]}, column {header[c] or 'without a name'},"
-            must = _CLOCKS if is_time(split[c][0]) else "a number"
-            refusals[header[c]] = bad_input("cell", where, must, repr(rows[own[0]][c]))
+            where = f"{owner}, line {rows[own[0]].line}, column {header[c] or 'without a name'},"
+            must = _CLOCKS if is_time(names[c]) else "a number"
+            refusals[header[c]] = bad_input("cell", where, must, repr(rows[own[0]].cells[c]))
     return refusals, spoilt
 
 
@@ -479,34 +467,33 @@ def _count(n: int, of: int, what: str, why: str, remarks: list[str]) -> None:
         remarks.append(f"{n} of {of} {what} {'is' if n == 1 else 'are'} {why}.")
 
 
-def _times(cells: _Cells, clock: list[int], owner: str, remarks: list[str]) -> Array:
+def _times(table: Table, clock: list[int], restarts: list[int], remarks: list[str]) -> Array:
     """Return the times of the rows [s]."""
-    header, split, values, lines, *_ = cells
-    days = [k for k in clock if split[k][0].lower() in DATES]
+    header, values, lines, owner = table.columns, table.values, table.lines, table.owner
+    days = [k for k in clock if table.names[k].lower() in DATES]
     rest = [k for k in clock if k not in days] or days
-    stated = [k for k in rest if split[k][1]] or rest
-    k = stated[0]
+    stated = [k for k in rest if table.units[k]] or rest
+    own = stated[0]
     must = "the only one of times (rename the others: a name such as clock_2 is no time)"
     require(len(stated) == 1, f"column {header[stated[-1]]}", owner, must, "another")
-    if other := [header[c] for c in rest if c != k]:
-        remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[k]}.")
-    unit, name = split[k][1], f"column {header[k]}"
+    if other := [header[k] for k in rest if k != own]:
+        remarks.append(f"Column {', '.join(other)} of {owner} is left out: times are those of {header[own]}.")
+    unit, name = table.units[own], f"column {header[own]}"
     require(unit in SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
-    times = values[:, k] * SECONDS.get(unit, 1.0)
-    bad = [lines[i] for i in np.flatnonzero(~np.isfinite(times)).tolist()]
+    times = values[:, own] * SECONDS.get(unit, 1.0)
+    bad = [lines[k] for k in np.flatnonzero(~np.isfinite(times)).tolist()]
     require(not bad, name, owner, "times", f"none in line {bad[:1]}")
     usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    for line in cells.restarts:
+    for line in restarts:
         k = int(np.searchsorted(lines, line))
         if 0 < k < len(times) and times[k] < times[k - 1]:
             times[k:] += times[k - 1] + usual - times[k]
             remarks.append(f"The board began again in line {line} of {owner}: times go on from those before.")
-    step = np.diff(times)
     require(unit or usual <= 1, name, owner, "named with its unit, such as time_ms", f"steps of {usual:g}")
-    period = _period(times, unit, usual)
-    if days != rest:
-        times = times + values[:, days].sum(axis=1)
-    if not days and (again := step < -period / 2).any():
+    if days:
+        return times if days == rest else times + values[:, days].sum(axis=1)
+    period, step = _period(times, unit, usual), np.diff(times)
+    if (again := step < -period / 2).any():
         times[1:] += period * np.cumsum(again)
         line = list(lines)[int(again.argmax()) + 1]
         remarks.append(f"Times of {owner} start again from 0 in line {line}: they are put on.")
@@ -548,11 +535,11 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     if headless and 0.9 < np.nanmedian(np.linalg.norm(values[:, 1:], axis=1)) < 1.1:
         names = ["stream", "qw", "qx", "qy", "qz"]
     if "stream" in names:
-        if (column := table.columns[names.index("stream")]) in table.refusals:
-            raise table.refusals[column]
+        of_stream = names.index("stream")
+        table.require_numbers(of_stream)
         usable = [column not in table.refusals for column in table.columns]
-        own = [k for k, name in enumerate(names) if name != "stream" and usable[k]]
-        streams, which = np.unique(values[:, names.index("stream")], return_inverse=True)
+        own = [k for k in range(len(names)) if k != of_stream and usable[k]]
+        streams, which = np.unique(values[:, of_stream], return_inverse=True)
         short = [names[k] if len(names[k]) > 1 else f"q{names[k]}" for k in own]
         several, own_number = len(streams) > 1, ("qx", "qy", "qz", "qw")
         names = [
@@ -570,26 +557,22 @@ def _put_together(table: Table, remarks: list[str]) -> Table:
     if (n := len(values)) > len(found):
         remarks.append(f"{n} of {n} rows of {table.owner} are put together to {len(found)}.")
     last = np.flatnonzero(np.diff(group, append=-1)).tolist()
-    return Table(
-        table.owner, tuple(columns), tuple(names), tuple(units), found.reshape(len(found), -1),
-        [table.lines[k] for k in last], None if times is None else times[last], (), table.refusals,
+    return table._replace(
+        columns=tuple(columns), names=tuple(names), units=tuple(units), values=found.reshape(len(found), -1),
+        lines=[table.lines[k] for k in last], times=None if times is None else times[last],
     )  # fmt: skip
 
 
 def _turns(streams: list[int], times: Array | None) -> Array:
     """Return the number of the turn to which each row of a stream belongs."""
-    together = times is not None and len(times) > 1 and (np.diff(times) == 0).any()
-    group, seen, cut = (
-        np.zeros(len(streams), dtype=int),
-        set[int](),
-        0 if together else cut_turn(streams, streams),
-    )
-    for i, key in enumerate(streams):
-        later = together and times is not None and times[i] != times[i - 1]
-        new = i > 0 and (key in seen or i == cut or later)
-        seen = {key} if new else seen | {key}
-        group[i] = group[i - 1] + new if i else 0
-    return group
+    later = np.zeros(len(streams), dtype=bool) if times is None else np.diff(times, prepend=times[0]) != 0
+    together = times is not None and not later[1:].all()
+    cut = 0 if together else cut_turn(streams, streams)
+    new, seen = list[bool](), set[int]()
+    for k, stream in enumerate(streams):
+        new.append(k > 0 and (stream in seen or k == cut or bool(together and later[k])))
+        seen = {stream} if new[-1] else seen | {stream}
+    return np.cumsum(new)
 
 
 def cut_turn(order: Sequence[int], streams: Sequence[int]) -> int:
@@ -621,10 +604,9 @@ def read_readings(robot: Assembly, source: Any) -> Readings:
     columns = columns_of(robot, table, remarks)
     check_orientations(robot, columns, table)
     u, why = rows_of(robot, columns, table.values)
-    readings = u.view(Readings)
-    readings.times, readings.lines = table.times, np.asarray(table.lines)
-    readings.remarks = (*remarks, *losses(robot, why))
-    return readings
+    remarks += losses(robot, why)
+    facts = {"times": table.times, "lines": np.asarray(table.lines), "remarks": tuple(remarks)}
+    return _readings(u, facts)
 
 
 def taken_in_order(robot: Assembly, table: Table, n: int) -> tuple[Table, list[str]]:
@@ -648,9 +630,9 @@ def columns_of(robot: Assembly, table: Table, remarks: list[str]) -> Columns:
     """Return where the readings of a robot stand; refuse a table without one of them, or with one of them twice."""
     axes = [(sensor, k) for sensor in robot.sensors for k in range(sensor.axes)]
     unnamed = sum(map(bool, map(_UNNAMED.fullmatch, table.columns)))
-    if unnamed and (unnamed < len(table.columns) or not robot.imus):
-        words = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
-        require(unnamed == len(axes), "table", table.owner, words, f"{unnamed}")
+    counts = unnamed and (unnamed < len(table.columns) or not robot.imus)
+    expected = f"{len(axes)} columns, one for every reading (a line of names above them says which is which)"
+    require(not counts or unnamed == len(axes), "table", table.owner, expected, f"{unnamed}")
     used, factors, bare, quaternions = [], [], [], []
     for j, (sensor, axis) in enumerate(axes):
         channel = j + 1 if sensor.channels is None else sensor.channels[axis]
@@ -664,10 +646,9 @@ def columns_of(robot: Assembly, table: Table, remarks: list[str]) -> Columns:
         if isinstance(names, int | float):
             names = [f"q{axis}_{names:g}" for axis in "xyzw"]
         quaternions.append([_column(table, name, str(name)) for name in names])
-    every = used + [k for own in quaternions for k in own]
-    for column in {k for k in every if every.count(k) > 1}:
-        received = f"{table.columns[column]} for {every.count(column)} of them"
-        raise bad_input("channels", table.owner, "another column for every reading", received)
+    for column, times in Counter([*used, *chain.from_iterable(quaternions)]).items():
+        received = f"{table.columns[column]} for {times} of them"
+        require(times == 1, "channels", table.owner, "another column for every reading", received)
     return Columns(used, np.array(factors), quaternions)
 
 
@@ -679,7 +660,11 @@ def rows_of(robot: Assembly, columns: Columns, values: Array) -> tuple[Array, Ar
     with np.errstate(over="ignore"):
         parts = [values[:, columns.magnetic] * columns.factors]
     for imu, own in zip(robot.imus, columns.quaternions, strict=True):
-        parts.append(_rotation_vectors(values[:, own], imu.world))
+        q, turns = values[:, own], np.full((len(values), 3), np.nan)
+        _, there, off = _norms(q)
+        if (good := there & ~off).any():
+            turns[good] = (_world_of(imu).inv() * Rotation.from_quat(q[good])).as_rotvec()
+        parts.append(turns)
     u = np.concatenate(parts, axis=1)
     why = robot.missing(u)
     u[why > 0] = np.nan
@@ -701,21 +686,20 @@ def losses(robot: Assembly, counts: Array) -> list[str]:
 
 def check_orientations(robot: Assembly, columns: Columns, table: Table) -> None:
     """Refuse quaternions that are none, or whose numbers seem to be in another order."""
-    from scipy.spatial.transform import Rotation
-
+    names = robot.part_names[len(robot.sensors) :]
     for k, (imu, own) in enumerate(zip(robot.imus, columns.quaternions, strict=True)):
-        q, name = table.values[:, own], f"quaternions of {robot.part_names[len(robot.sensors) + k]}"
+        q, name = table.values[:, own], f"quaternions of {names[k]}"
         norm, there, off = _norms(q)
         if off.sum() > 0.01 * there.sum() + 2:
             typical, line = float(np.median(norm[off])), table.lines[int(off.argmax())]
-            need = "of norm 1: divide raw counts by their scale"
-            need = need if typical > 2 else "of norm 1, with four decimals"
+            need = "divide raw counts by their scale" if typical > 2 else "with four decimals"
+            need = f"of norm 1{':' if typical > 2 else ','} {need}"
             raise bad_input(name, table.owner, need, f"norms such as {typical:.5g}, from line {line}")
         good = q[there & ~off]
         if k or not len(good):
             continue
-        drawn = Rotation.from_matrix(robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3])
-        seen = (Rotation.from_quat([0, 0, 0, 1] if imu.world is None else imu.world) * drawn).as_quat()
+        drawn = robot.poses(np.zeros(robot.n_q), [imu.place])[0, :3, :3]
+        seen = (_world_of(imu) * Rotation.from_matrix(drawn)).as_quat()
         as_read, other = (
             2 * math.acos(min(1.0, float(np.median(np.abs(order @ seen)))))
             for order in (good, good[:, [1, 2, 3, 0]])
@@ -726,27 +710,28 @@ def check_orientations(robot: Assembly, columns: Columns, table: Table) -> None:
             raise bad_input(name, table.owner, expected, received)
 
 
-def _column(table: Table, channel: Any, own: str) -> int:
+def _world_of(imu: Imu) -> Rotation:
+    """Return how the base is turned in the world that the quaternions of an IMU refer to."""
+    return Rotation.identity() if imu.world is None else Rotation.from_quat(imu.world)
+
+
+def _column(table: Table, channel: str | float, own: str) -> int:
     """Return the column of a channel: by its name, or by its number, or by the name of its reading."""
-    wanted = (
-        [channel]
-        if isinstance(channel, str)
-        else [f"{channel}", f"u{channel}", f"ch{channel}", f"channel{channel}"]
-    )
-    wanted = {own, own.replace(" ", ""), *wanted}
+    by_name = isinstance(channel, str)
+    wanted = {channel} if by_name else {f"{prefix}{channel}" for prefix in ("", "u", "ch", "channel")}
+    wanted |= {own, own.replace(" ", "")}
     spelt = [{name, re.sub("[ _]", "", name.lower())} for name in table.names]
     found = [k for k, names in enumerate(spelt) if wanted & {*names, table.columns[k]}]
     if len(found) != 1:
-        words = channel if isinstance(channel, str) else f"u{channel}_mT, channel_{channel}, or {own}"
         low, word = {name.lower(): name for name in table.names}, str(channel).lower()
         near = [low[name] for name in get_close_matches(word, low, 1)]
         # Names that differ in one letter or digit are those of two readings, such as x_1 and y_1.
         near = [x for x in near if len(x) != len(word) or sum(map(str.__ne__, x.lower(), word)) != 1]
+        words = channel if by_name else f"u{channel}_mT, channel_{channel}, or {own}"
         words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)
-    if table.columns[found[0]] in table.refusals:
-        raise table.refusals[table.columns[found[0]]]
+    table.require_numbers(found[0])
     return found[0]
 
 
@@ -755,9 +740,9 @@ def _factor(table: Table, column: int, sensor: Sensor) -> float:
     unit = table.units[column]
     if unit in TO_MT:
         return TO_MT[unit]
+    own = unit in ("", sensor.unit) or (unit, sensor.unit) == ("V", "mV")
     expected = "in mT or another unit of flux density"
     expected += "" if sensor.unit in TO_MT else f", or in {sensor.unit}"
-    own = unit in ("", sensor.unit) or (unit, sensor.unit) == ("V", "mV")
     require(own, f"column {table.columns[column]}", table.owner, expected, unit)
     return (1e3 if unit == "V" else 1.0) / sensor.per_mt
 
@@ -769,27 +754,13 @@ def _norms(q: Array) -> tuple[Array, Array, Array]:
     return norm, there, there & (np.abs(norm - 1) > 2e-3)
 
 
-def _rotation_vectors(q: Array, world: Any) -> Array:
-    """Return rotation vectors ``[t, 3]`` of quaternions XYZW in the base frame, NaN for those that are none."""
-    from scipy.spatial.transform import Rotation
-
-    _, there, off = _norms(q)
-    base = Rotation.identity() if world is None else Rotation.from_quat(world).inv()
-    turns = np.full((len(q), 3), np.nan)
-    if (good := there & ~off).any():
-        turns[good] = (base * Rotation.from_quat(q[good])).as_rotvec()
-    return turns
-
-
 def configurations_of(robot: Assembly, table: Table) -> Array:
     """Return the configurations ``[t, n_q]`` [m, rad] that the columns of a table state, NaN where one is missing."""
-    q = np.zeros((len(table.values), robot.n_q))
+    q = np.zeros((len(table.values), robot.n_q)) + (0.0 if robot.lower is None else robot.lower)
     for c, name in enumerate(robot.coordinates):
-        if name not in table.names and robot.fixed[c] and robot.lower is not None:
-            q[:, c] = robot.lower[c]
-            continue
-        angle = robot.angles[c] or name.startswith("kappa")
-        q[:, c], _ = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
+        if name in table.names or not robot.fixed[c]:
+            angle = robot.angles[c] or name.startswith("kappa")
+            q[:, c], _ = table.scaled(name, ("rad", "deg") if angle else ("mm", "cm", "m"))
     return q
 
 

@@ -149,9 +149,9 @@ def pose_covariance(robot: Robot, noise_mm: float, noise_deg: float) -> Array:
 def _holds(measured: Poses, u: Readings, owner: str) -> Array | None:
     """Return beginning and end of every held pose ``[poses, 2]`` [s], or nothing where each has a row of readings."""
     alike, times = len(u) == len(measured.q), measured.times
-    if "window_s" in measured.known:
+    if measured.windows is not None:
         require(u.times is not None, "times", "the readings", "given (a column time_s, or --rate)", "none")
-        return measured.known["window_s"]
+        return measured.windows
     if times is None or u.times is None:
         expected = "held from start_s to end_s, or at time_s, or as many as the readings have rows"
         require(alike, "poses", owner, expected, f"{len(measured.q)} poses for {len(u)} rows")
@@ -216,7 +216,7 @@ def _in_poses(
     )
     if windows is None:
         return values
-    windows = _by_clock(windows, measured.known.get("clock", ""), source)
+    windows = _by_clock(windows, measured.clock, source)
     windows = windows + held_lag(robot, measured.q, windows, t, values, remarks)
     means, more = averaged(robot, t, values, windows, where)
     remarks += more
@@ -325,7 +325,7 @@ def _together(
     moving = np.where(same[:, None] & (same.mean() < 0.5), np.nan, q)
     lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s)
     at_poses = Signal.of(t, clean).at(times + lag)
-    q = in_axes_of_the_readings(robot, q, measured.known.get("turned", {}), at_poses, lines)
+    q = in_axes_of_the_readings(robot, q, measured.turned, at_poses, lines)
     still = frozen(q, times + lag, t, clean, np.asarray(robot.total_noise))
     if still.any():
         when = some([f"{x:.2f} s" for x in times[still & ~np.roll(still, 1)]])

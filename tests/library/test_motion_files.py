@@ -302,7 +302,6 @@ class TestMeasuredPoses:
         found = read_poses(robot, tmp_path / "a.csv")
         np.testing.assert_allclose(found.q, q, atol=1e-7)
         np.testing.assert_allclose(found.times, 0.01 * np.arange(120))
-        np.testing.assert_allclose(found.known["tip"], robot.tip(q)[..., :3, 3], atol=1e-9)
         swapped = read_poses(robot, tmp_path / "a.csv", bodies=["1", "2"])
         np.testing.assert_array_equal(swapped.q, found.q)
         with pytest.raises(
@@ -369,8 +368,8 @@ class TestMeasuredPoses:
         bodies = {"plate": ground, "tip": tip} if plate else {"tip": tip}
         path = write_motive(tmp_path / "a.csv", bodies, version="1.23", unit="Meters")
         found = read_poses(robot, path, straight_s=0.1)
-        assert set(found.known["turned"]) == {-90, 90, 180}
-        assert min(np.abs(x - q).max() for x in (found.q, *found.known["turned"].values())) < 1e-4
+        assert set(found.turned) == {-90, 90, 180}
+        assert min(np.abs(x - q).max() for x in (found.q, *found.turned.values())) < 1e-4
         assert f"By the axes of a.csv, the straight robot points along {points}, and x of" in found.remarks[0]
         if plate:
             with pytest.raises(InputError, match="with y along the straight robot.*--straight-s"):
@@ -402,11 +401,11 @@ class TestMeasuredPoses:
         )
         found = read_poses(robot, frame)
         np.testing.assert_allclose(found.q, [[0, 0, 0], [0.0095, 0, 0.001]])
-        np.testing.assert_allclose(found.known["window_s"], [[0, 0.8], [1.0, 1.8]])
+        np.testing.assert_allclose(found.windows, [[0, 0.8], [1.0, 1.8]])
         np.testing.assert_allclose(found.times, [0.4, 1.4])
         board = read_poses(robot, frame.assign(start_board_s=[7.0, 8.0], end_board_s=[7.8, 8.8]))
-        np.testing.assert_allclose(board.known["window_s"], [[7, 7.8], [8.0, 8.8]])
-        assert (found.known["clock"], board.known["clock"]) == ("", "board_")
+        np.testing.assert_allclose(board.windows, [[7, 7.8], [8.0, 8.8]])
+        assert (found.clock, board.clock) == ("", "board_")
 
     def test_poses_of_another_robot_are_refused(self):
         robot, q = self.arm(), self.q()

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import repro
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
 from repro.common import bad_input
-from repro.tables import configurations_of, name_and_unit, read_table
+from repro.tables import configurations_of, read_table
 
 ROWS = np.array([[0.0, -2.125, 3.5, 0.25], [0.05, -2.25, 3.375, 0.5], [0.1, -2.5, 3.25, 0.75]])
 HEADER = ["time_s", "u1_mT", "u2_mT", "u3_mT"]
@@ -108,14 +108,6 @@ def test_data_frames_and_missing_readings():
     assert robot().readings(frame.drop(columns="time_s")).times is None
     with pytest.raises(InputError, match="must be a data frame or a path; instead received ndarray"):
         robot().readings(ROWS)
-
-
-def test_rows_of_readings_keep_their_times():
-    readings = robot().readings(pd.DataFrame(ROWS, columns=HEADER))
-    np.testing.assert_array_equal(readings[1:].times, readings.times[1:])
-    np.testing.assert_array_equal(readings[1:, :].times, readings.times[1:])
-    assert readings[:, 1].times is None
-    assert readings[1, 2] == 0.5
 
 
 KEPT = {
@@ -488,13 +480,6 @@ class TestQuaternions:
         np.testing.assert_allclose(readings[0, 3:], self.turns()[0, 3:], atol=1e-5)
         assert np.isnan(readings[0, :3]).all()
 
-    def test_lines_as_boards_print_them(self, tmp_path):
-        text = self.table(order="wxyz").splitlines()[1:]
-        text = "\n".join(line.partition(",")[2] for line in text) + "\n"
-        readings = self.arm().readings(written(tmp_path, text))
-        np.testing.assert_allclose(readings, self.turns(), atol=1e-5)
-        assert readings.times is None
-
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
@@ -774,18 +759,6 @@ class TestPoses:
             configurations_of(self.bounded(), read_table(frame))
         with pytest.raises(InputError, match="must be one column for delta_y_1"):
             configurations_of(self.bounded(), read_table(frame[["delta_x_1_mm"]]))
-
-
-def test_names_and_units():
-    found = [name_and_unit(x) for x in ("u1 [mT]", "Bx (Gauss)", "t_ms", "delta_x_1_mm", "B_x", "a_(uT)")]
-    assert found == [
-        ("u1", "mT"),
-        ("Bx", "gauss"),
-        ("t", "ms"),
-        ("delta_x_1", "mm"),
-        ("B_x", ""),
-        ("a", "uT"),
-    ]
 
 
 def test_a_temperature_is_no_time(tmp_path):

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Generic, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
 from repro.estimators.base import information_of_bounds
@@ -103,17 +104,16 @@ class Calibration(Generic[Described]):
 
     def __repr__(self) -> str:
         """Return two lines."""
-        words = f"chi-square per reading: {self.chi2:.3g}" + (
-            " (state tolerances or noise that are larger)" if self.chi2 > 1.5 else ""
-        )
-        against = f"{self.after:.3g} standard deviations, against {self.before:.3g} as described"
+        larger = " (state tolerances or noise that are larger)" if self.chi2 > 1.5 else ""
         inexact = float(np.sqrt(np.diag(self.model_error).max(initial=0.0)))
         more = (
             f"\nthe model is inexact, by up to {inexact:.3g} mT a reading: the ± hold it" if inexact else ""
         )
         return (
-            f"Calibration by {self.poses} poses: {len(self.names)} parameters; {words}\n"
-            f"a pose is predicted from the others to {against}{more}"
+            f"Calibration by {self.poses} poses: {len(self.names)} parameters; "
+            f"chi-square per reading: {self.chi2:.3g}{larger}\n"
+            f"a pose is predicted from the others to {self.after:.3g} standard deviations, "
+            f"against {self.before:.3g} as described{more}"
         )
 
     def sensing(self) -> Sensing:
@@ -128,11 +128,10 @@ class Calibration(Generic[Described]):
         InputError
             If the robot does not come from a file.
         """
-        text = calibration_text(self)
         with whole(path, "save", new=False) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_text(calibration_text(self), encoding="utf-8")
 
-    def q_covariance(self, q: Any, noise: Any = None) -> Array:
+    def q_covariance(self, q: ArrayLike, noise: ArrayLike | None = None) -> Array:
         r"""Return the covariance ``[k, n_q, n_q]`` of least squares at ``q``, by noise, parameters and model error.
 
         With the slopes :math:`J` of the readings, their noise :math:`S` and the deviations :math:`D` that the bounds
@@ -147,44 +146,44 @@ class Calibration(Generic[Described]):
         noise
             Standard deviation of a reading [mT; rad for IMUs], one number or one for each; the robot's if not given.
         """
-        return self._covariances(q, noise)[0] + self.lasting_covariance(q, noise)
+        of_noise, lasting = self._covariances(q, noise)
+        return of_noise + lasting
 
-    def lasting_covariance(self, q: Any, noise: Any = None) -> Array:
+    def lasting_covariance(self, q: ArrayLike, noise: ArrayLike | None = None) -> Array:
         """Return the part of :meth:`q_covariance` that no average over time removes: all but the noise."""
-        C, H, std = self._covariances(q, noise)
-        sensing, parameters = self.sensing(), dict(zip(self.names, self.estimate.tolist(), strict=True))
-        n = sensing.n_magnetic
+        return self._covariances(q, noise)[1]
+
+    def _covariances(self, q: ArrayLike, noise: ArrayLike | None) -> tuple[Array, Array]:
+        """Return the covariance of an estimate by noise and bounds, and by parameters and errors of the model."""
+        robot, sensing, fixed = self.robot, self.sensing(), self.robot.fixed
+        q = robot.check_q(q, "Calibration")
+        std = _noise_of(robot, noise, sensing.n_readings, "Calibration")
+        H = np.where(fixed, 0.0, sensing.linearise(q)[1]) / std[:, None]
+        A = np.swapaxes(H, -1, -2) @ H
+        if robot.lower is None or robot.upper is None:
+            C = np.linalg.pinv(A, hermitian=True)
+        else:
+            known = information_of_bounds(robot.lower, robot.upper, robot.free_angles.free)
+            C = np.linalg.inv(A + np.diag(np.where(fixed, 1.0, known)))
+            C = np.where(fixed | fixed[:, None], 0.0, C)
+        parameters, n = dict(zip(self.names, self.estimate.tolist(), strict=True)), sensing.n_magnetic
         K = np.zeros((*H.shape[:-1], len(self.names)))
-        K[..., :n, :] = (
-            slopes_of(self.described, sensing, parameters, self.robot.check_q(q)) * self.tolerances
-        )
+        K[..., :n, :] = slopes_of(self.described, sensing, parameters, q) * self.tolerances
         E = K @ self.covariance @ np.swapaxes(K, -1, -2)
         E[..., :n, :n] += self.model_error
         G = C @ np.swapaxes(H, -1, -2) / std
-        return G @ E @ np.swapaxes(G, -1, -2)
-
-    def _covariances(self, q: Any, noise: Any) -> tuple[Array, Array, Array]:
-        """Return the covariance of an estimate by noise and bounds, slopes in units of the noise, and the noise."""
-        robot, sensing = self.robot, self.sensing()
-        std = _noise_of(robot, noise, sensing.n_readings, "Calibration")
-        H = np.where(robot.fixed, 0.0, sensing.linearise(robot.check_q(q, "Calibration"))[1]) / std[:, None]
-        A = np.swapaxes(H, -1, -2) @ H
-        if robot.lower is None or robot.upper is None:
-            return np.linalg.pinv(A, hermitian=True), H, std
-        known = information_of_bounds(robot.lower, robot.upper, robot.free_angles.free)
-        C = np.linalg.inv(A + np.diag(np.where(robot.fixed, 1.0, known)))
-        return np.where(robot.fixed | robot.fixed[:, None], 0.0, C), H, std
+        return C, G @ E @ np.swapaxes(G, -1, -2)
 
 
 def calibrate(
     robot: Described,
-    q: Any,
-    u: Any,
-    noise: Any = None,
-    q_covariance: Any = None,
+    q: object,
+    u: object,
+    noise: ArrayLike | None = None,
+    q_covariance: ArrayLike | None = None,
     *,
     tolerances: Tolerances | None = None,
-    earth: Any = None,
+    earth: ArrayLike | None = None,
     rows: Sequence[str] | None = None,
 ) -> Calibration[Described]:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
@@ -231,12 +230,19 @@ def calibrate(
     array([1.02, 1.02, 1.02])
     """
     owner = "calibrate"
-    robot = _as_described(robot, earth, owner)
+    require(robot.magnets and robot.sensors, "robot", owner, "one with magnets and sensors", "neither")
+    expected = "one whose readings are multipoles of its magnets"
+    require(robot.model is None, "robot", owner, expected, "networks")
+    robot = robot if earth is None else robot.replaced(earth=earth)
+    robot = robot.replaced(moments=sensing_of(robot).moments, source=robot.source)
     described = robot.replaced(imus=(), noise=None)
     q, u, rows = _measured(robot, described, q, u, rows, owner)
     std = _noise_of(robot, noise, described.n_readings, owner)
-    sigma = _covariance_of(q_covariance, len(q), robot.n_q, owner)
-    check_poses(robot, q, sigma, rows)
+    given = np.zeros((robot.n_q, robot.n_q)) if q_covariance is None else q_covariance
+    sigma = numbers(given, "q_covariance", owner, (..., robot.n_q, robot.n_q))
+    fits = sigma.shape[:-2] in ((), (len(q),))
+    require(fits, "q_covariance", owner, f"one, or one for each of {len(q)} poses", sigma.shape)
+    _check_within(robot, outside(robot, q, sigma), q, rows)
     priors = priors_of(described, tolerances or Tolerances())
     names, scale = tuple(priors), np.array(list(priors.values()))
 
@@ -257,18 +263,8 @@ def calibrate(
     )
 
 
-def _as_described(robot: Described, earth: Any, owner: str) -> Described:
-    """Return the robot with its moments and the field of the Earth; refuse one that cannot be calibrated."""
-    require(robot.magnets and robot.sensors, "robot", owner, "one with magnets and sensors", "neither")
-    expected = "one whose readings are multipoles of its magnets"
-    require(robot.model is None, "robot", owner, expected, "networks")
-    if earth is not None:
-        robot = robot.replaced(earth=earth)
-    return robot.replaced(moments=sensing_of(robot).moments, source=robot.source)
-
-
 def _measured(
-    robot: Assembly, described: Assembly, q: Any, u: Any, rows: Sequence[str] | None, owner: str
+    robot: Assembly, described: Assembly, q: object, u: object, rows: Sequence[str] | None, owner: str
 ) -> tuple[Array, Array, Sequence[str] | None]:
     """Return poses, magnetic readings and what messages call each pose; refuse what does not fit together."""
     at = None
@@ -294,16 +290,6 @@ def _measured(
     return q, u, rows
 
 
-def _covariance_of(q_covariance: Any, n: int, n_q: int, owner: str) -> Array:
-    """Return the covariance of all poses, or of each; zero if not given."""
-    if q_covariance is None:
-        return np.zeros((n_q, n_q))
-    sigma = numbers(q_covariance, "q_covariance", owner, (..., n_q, n_q))
-    fits = sigma.shape in ((n_q, n_q), (n, n_q, n_q))
-    require(fits, "q_covariance", owner, f"one, or one for each of {n} poses", sigma.shape)
-    return sigma
-
-
 class _Poses(NamedTuple):
     """Readings in measured poses, and how uncertain both are."""
 
@@ -319,22 +305,21 @@ class _Poses(NamedTuple):
         """Return parameters by name, of ``z`` in units of their tolerances."""
         return dict(zip(self.names, (z * self.scale).tolist(), strict=True))
 
-    def whitened(self, z: Array) -> tuple[Array, Array, Array]:
-        """Return residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, root of the noise."""
+    def trial(self, z: Array) -> Trial:
+        """Return what a robot with these parameters leaves of the readings.
+
+        The details are residuals ``[poses * s]`` of unit variance, slopes of the prediction by ``z``, and a root of
+        the noise of every pose.
+        """
         parameters = self.parameters(z)
         moved = sensing_of(placed(self.described, parameters))
         u_hat, J_q = moved.linearise(self.q)
         J = slopes_of(self.described, moved, parameters, self.q) * self.scale
-        noise = np.diag(self.std**2) + J_q @ self.sigma @ np.swapaxes(J_q, -1, -2)
+        root = np.linalg.cholesky(np.diag(self.std**2) + J_q @ self.sigma @ np.swapaxes(J_q, -1, -2))
         rows = np.concatenate([(self.u - u_hat)[..., None], J], axis=-1)
-        root = np.linalg.cholesky(noise)
         rows = np.linalg.solve(root, rows).reshape(-1, 1 + len(z))
         require(np.isfinite(rows).all(), "numbers", "calibrate", "finite", "infinite ones")
-        return rows[:, 0], rows[:, 1:], root
-
-    def trial(self, z: Array) -> Trial:
-        """Return what a robot with these parameters leaves of the readings."""
-        r, J, root = self.whitened(z)
+        r, J = rows[:, 0], rows[:, 1:]
         cost = float(r @ r)
         return Trial(cost, lambda: (cost, J.T @ J, J.T @ r), (r, J, root))
 
@@ -354,7 +339,7 @@ def _judge(
         raise _refused(f"{names[far]} off by {abs(z[far]):.3g} times its tolerance")
 
 
-def outside(robot: Assembly, q: Array, q_covariance: Any = 0.0) -> Array:
+def outside(robot: Assembly, q: Array, q_covariance: ArrayLike = 0.0) -> Array:
     """Return which coordinates of measured poses ``[poses, n_q]`` are outside the robot's bounds.
 
     A measured pose may be outside by five of its standard deviations and a hundredth of the range. Angles with bounds
@@ -362,21 +347,18 @@ def outside(robot: Assembly, q: Array, q_covariance: Any = 0.0) -> Array:
     """
     if robot.lower is None or robot.upper is None:
         return np.zeros(q.shape, dtype=bool)
-    width = robot.upper - robot.lower
     std = np.sqrt(np.diagonal(np.broadcast_to(q_covariance, (len(q), robot.n_q, robot.n_q)), 0, -2, -1))
-    slack = np.where(robot.free_angles.free, np.inf, 5 * std + 0.01 * width + 1e-9)
+    slack = 5 * std + 0.01 * (robot.upper - robot.lower) + 1e-9
+    slack = np.where(robot.free_angles.free, np.inf, slack)
     return (q < robot.lower - slack) | (q > robot.upper + slack)
 
 
-def check_poses(
-    robot: Assembly, q: Array, q_covariance: Any = 0.0, rows: Sequence[str] | None = None
-) -> None:
-    """Refuse measured poses ``[poses, n_q]`` that are `outside`, by the name of the row and coordinate."""
-    for row, c in np.argwhere(outside(robot, q, q_covariance)):
-        bounds: Any = (robot.lower, robot.upper)
-        limits = f"{robot.coordinates[c]} {bounds[0][c]:g} to {bounds[1][c]:g}"
+def _check_within(robot: Assembly, out: Array, q: Array, rows: Sequence[str] | None) -> None:
+    """Refuse measured poses ``[poses, n_q]`` that are outside the bounds, by the name of the row and coordinate."""
+    for row, c in np.argwhere(out):
+        lower, upper = np.array([robot.lower, robot.upper])[:, c]
+        expected = f"within the robot's bounds, for {robot.coordinates[c]} {lower:g} to {upper:g} (unit?)"
         where = rows[row] if rows else f"row {row + 1}"
-        expected = f"within the robot's bounds, for {limits} (unit?)"
         raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in {where}")
 
 
@@ -385,12 +367,12 @@ def _refused(received: str) -> InputError:
     return bad_input("poses and readings", "calibrate", expected, received)
 
 
-def _noise_of(robot: Assembly, noise: Any, n: int, owner: str) -> Array:
+def _noise_of(robot: Assembly, noise: ArrayLike | None, n: int, owner: str) -> Array:
     """Standard deviation of every reading ``[n]``, of the robot if not given."""
     expected = "positive, one number or one for each reading"
-    require(noise is not None or robot.noise is not None, "noise", owner, expected, "none")
-    if noise is None and robot.total_noise is not None:
-        noise = robot.total_noise[:n]
+    if noise is None:
+        require(robot.total_noise is not None, "noise", owner, expected, "none")
+        noise = np.asarray(robot.total_noise)[:n]
     std = numbers(noise, "noise", owner)
     require(std.shape in ((), (n,)) and (std > 0).all(), "noise", owner, expected, noise)
     return np.broadcast_to(std, (n,))
@@ -441,7 +423,7 @@ def calibration_text(found: Calibration) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def _own_hash(content: Mapping[str, Any]) -> str:
+def _own_hash(content: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps({**content, "sha256": ""}, sort_keys=True).encode()).hexdigest()
 
 
@@ -481,9 +463,8 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
     s = sum(sensor.axes for sensor in robot.sensors)
     M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
-    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= -1e-9 * np.abs(M).max(
-        initial=0.0
-    )
+    least = -1e-9 * np.abs(M).max(initial=0.0)
+    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= least
     require(good, "model_error", owner, "a covariance of readings", "another matrix")
     rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
     moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))

@@ -11,11 +11,11 @@ the two apart; what they do not tell apart stays as uncertain as its prior.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.chain import turn
 from repro.common import Array, require
@@ -88,7 +88,7 @@ class Drifting:
     Parameters
     ----------
     sensing
-        Any sensor model.
+        A sensor model.
     drifts
         What wanders.
 
@@ -110,20 +110,17 @@ class Drifting:
     (array([0.5]), array([0.5]))
     """
 
-    def __init__(self, sensing: Any, drifts: Sequence[Drift]) -> None:
+    def __init__(self, sensing: Callable[[Array], ArrayLike], drifts: Sequence[Drift]) -> None:
         require(drifts, "drifts", "Drifting", "at least one", "none")
-        robot = isinstance(sensing, Sensing)
+        robot = sensing.robot if isinstance(sensing, Sensing) else None
         for drift in drifts:
-            kind = drift.kind
-            if kind in ("heading", "tilt"):
-                fits, expected = robot and sensing.robot.imus, "of a robot with IMUs"
-            elif kind in ("moment", "stray"):
-                fits, expected = robot and sensing.model is None, "of a robot whose model are multipoles"
-            else:
-                fits, expected = True, ""
-            require(fits, f"drifts, kind {kind},", "Drifting", expected, type(sensing).__name__)
-        self.sensing, self.drifts = sensing, tuple(drifts)
-        self.robot = sensing.robot if robot else None
+            name, received = f"drifts, kind {drift.kind},", type(sensing).__name__
+            if drift.kind in ("heading", "tilt"):
+                require(robot and robot.imus, name, "Drifting", "of a robot with IMUs", received)
+            elif drift.kind in ("moment", "stray"):
+                multipoles = isinstance(sensing, Sensing) and sensing.model is None
+                require(multipoles, name, "Drifting", "of a robot whose model are multipoles", received)
+        self.sensing, self.drifts, self.robot = sensing, tuple(drifts), robot
 
 
 class DriftModel:
@@ -136,21 +133,15 @@ class DriftModel:
         robot = base.robot if isinstance(base, Sensing) else None
         n_imus = len(robot.imus) if robot else 0
         self.n_hall, self.n_readings = base.n_readings - 3 * n_imus, base.n_readings
-        counts = {
-            "moment": len(robot.magnets) if robot else 0,
-            "stray": 3,
-            "heading": n_imus,
-            "tilt": 2 * n_imus,
-        }
+        n_magnets = len(robot.magnets) if robot else 0
+        counts = {"moment": n_magnets, "stray": 3, "heading": n_imus, "tilt": 2 * n_imus}
         rows = [
             (drift, -1 if drift.shared else k)
             for drift in drifting.drifts
             for k in range(1 if drift.shared else counts.get(drift.kind, self.n_hall))
         ]
         self.names = tuple(f"{drift.kind} {'of all' if k < 0 else k + 1}" for drift, k in rows)
-        self.states = tuple(
-            np.array(x) for x in zip(*((d.start, d.walk, 1 / d.time_s) for d, _ in rows), strict=True)
-        )
+        self.states = np.array([(drift.start, drift.walk, 1 / drift.time_s) for drift, _ in rows]).T
         self._offset, self._gain = (self._share(rows, kind) for kind in ("offset", "gain"))
         # A reading is linear in moments and in a uniform field: one model for each of these errors.
         self._linear = [

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro.chain import Chain, FreeBody, Place, place, point_on, unit_quaternions
@@ -105,8 +106,7 @@ class _Bodies:
         p, turns = T[..., None, :3, 3], X[..., :3]
         moves = X[..., 3:] + np.cross(turns, p)
         J = np.concatenate([moves, turns], axis=1)  # [n, 2 b, n_q, 3]
-        u = np.concatenate([T[..., :3, 3], _rotation_vectors(T[..., :3, :3])], axis=1)
-        return u.reshape(len(q), -1), np.swapaxes(J, 2, 3).reshape(len(q), -1, self.n_q)
+        return _readings(T), np.swapaxes(J, 2, 3).reshape(len(q), -1, self.n_q)
 
     def difference(self, u: Array, u_hat: Array) -> Array:
         r = np.empty(u_hat.shape)
@@ -114,18 +114,22 @@ class _Bodies:
         return r
 
 
-def _rotation_vectors(R: Array) -> Array:
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+def _readings(T: Array) -> Array:
+    """Return positions and rotation vectors of poses ``[t, n, 4, 4]`` as readings ``[t, 6 n]``, NaN for NaN."""
+    R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
+    turns = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(*T.shape[:2], 3)
+    turns = np.where(np.isfinite(T[..., 0, :1]), turns, np.nan)
+    return np.concatenate([T[..., :3, 3], turns], axis=1).reshape(len(T), -1)
 
 
 def fit_shape(
     robot: Chain,
-    poses: Any,
-    at: Sequence[Any] | None = None,
+    poses: object,
+    at: Sequence[object] | None = None,
     *,
-    times: Any = None,
+    times: ArrayLike | None = None,
     noise: tuple[float, float] = (0.5e-3, 0.01),
-    start: Any = None,
+    start: ArrayLike | None = None,
     rig: Rig | None = None,
     fit_rig: bool = False,
 ) -> FittedShapes:
@@ -198,7 +202,7 @@ def fit_shape(
             rig = replace(rig, base=_first_base(robot.poses(search.q0, places), T, robot.length / 2))
         shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
         rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
-    u, places = _readings(T, rig), search.mounted(rig)
+    u, places = search.mounted(T, rig)
     _check_near(robot, u[:, : 3 * n], owner)
 
     found, u_hat, C, chi2, used = search.best(u, places)
@@ -237,12 +241,16 @@ def _on_the_base(robot: Chain, T: Array, places: list[Place]) -> tuple[Array, li
     return others, places[:k] + places[k + 1 :]
 
 
-def measured_poses(poses: Any, owner: str) -> Array:
+def measured_poses(poses: object, owner: str) -> Array:
     """Return poses ``[t, n, 4, 4]``, NaN for what is missing: a whole body or its rotation."""
     values = numbers(poses, "poses", owner, finite=False)
     if values.shape[-2:] == (4, 4) and values.ndim in (3, 4):
         T = values.reshape(-1, *values.shape[-3:]).copy()
-    elif values.shape[-1:] in ((3,), (7,)) and values.ndim in (2, 3):
+    else:
+        rigid = values.shape[-1:] in ((3,), (7,)) and values.ndim in (2, 3)
+        require(
+            rigid, "poses", owner, "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3)", f"shape {values.shape}"
+        )
         rows = values.reshape(-1, *values.shape[-2:])
         T = np.full((*rows.shape[:2], 4, 4), np.nan)
         T[..., :3, 3] = rows[..., :3]
@@ -250,9 +258,6 @@ def measured_poses(poses: Any, owner: str) -> Array:
         if there.any():
             q = unit_quaternions(rows[there, 3:], "poses", owner, (None, 4))
             T[there, :3, :3] = Rotation.from_quat(q).as_matrix()
-    else:
-        expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3)"
-        raise bad_input("poses", owner, expected, f"shape {values.shape}")
     require(T.size, "poses", owner, "of at least one shape and one body", f"shape {values.shape}")
     T[~np.isfinite(T[..., :3, :3]).all((-2, -1)), :3, :3] = np.nan
     T[~np.isfinite(T[..., :3, 3]).all(-1), :3] = np.nan
@@ -265,7 +270,7 @@ def measured_poses(poses: Any, owner: str) -> Array:
     return T
 
 
-def places_of(robot: Chain, at: Any, n: int, owner: str) -> list[Place]:
+def places_of(robot: Chain, at: Sequence[object] | None, n: int, owner: str) -> list[Place]:
     """Return where each of ``n`` bodies is: as given, or on the tips of all segments, one more on the base."""
     g = len(robot.segments)
     if at is None:
@@ -282,7 +287,7 @@ def places_of(robot: Chain, at: Any, n: int, owner: str) -> list[Place]:
         if not isinstance(own, Place):
             pair = isinstance(own, Sequence) and len(own) in (2, 3)
             require(pair, "at", owner, "parts, or (segment, at [m]), or (segment, at, position)", item)
-            own = place(owner, *list[Any](own))
+            own = place(owner, *own)
         robot.check_place(own, "at")
         places.append(own)
     require(len(places) == n, "at", owner, f"one place for each of {n} bodies", f"{len(places)}")
@@ -293,13 +298,15 @@ class _Search:
     """Finds the best configuration of every shape, and the rig that suits all of them."""
 
     def __init__(
-        self, robot: Chain, places: list[Place], noise: tuple[float, float], start: Any, owner: str
+        self,
+        robot: Chain,
+        places: list[Place],
+        noise: tuple[float, float],
+        start: ArrayLike | None,
+        owner: str,
     ) -> None:
         self.robot, self.places, self.noise = robot, places, noise
-        stated: Any = (robot.lower, robot.upper)
-        self.known = np.full(robot.n_q, np.nan)
-        if robot.lower is not None:
-            self.known = np.where(stated[0] == stated[1], stated[0], np.nan)
+        self.known = np.where(robot.fixed, np.nan if robot.lower is None else robot.lower, np.nan)
         self.free = np.isnan(self.known)
         q0 = robot.start if start is None else robot.check_q(start, owner)
         if q0 is None:  # not quite straight: there the slopes by an azimuth are zero
@@ -309,14 +316,15 @@ class _Search:
             [g for g, s in enumerate(robot.segments, 1) for _ in s.coordinates], dtype=int
         )
 
-    def mounted(self, rig: Rig) -> list[Place]:
-        """Return the places of the bodies themselves."""
-        return [
+    def mounted(self, T: Array, rig: Rig) -> tuple[Array, list[Place]]:
+        """Return measured poses as readings in the base frame, and the places of the bodies themselves."""
+        places = [
             where._replace(
                 rotation=where.rotation @ body[:3, :3], position=where.position + where.rotation @ body[:3, 3]
             )
             for where, body in zip(self.places, rig.bodies, strict=True)
         ]
+        return _readings(np.linalg.inv(rig.base) @ T), places
 
     def unseen(self, u: Array) -> Array:
         """Return the coordinates ``[t, n_q]`` of segments that no body was seen on or beyond."""
@@ -379,18 +387,19 @@ class _RigTrials:
     def trial(self, z: Array) -> Trial:
         """Return what the shapes leave of the poses, each at its best for this rig."""
         rig = _moved(self.rig, z - self.z)
-        u, places = _readings(self.T, rig), self.search.mounted(rig)
-        if self.q is None:
-            q, _, _, chi2, used = self.search.best(u, places)
-        else:
-            q, _, _, chi2, used = self.search.fit(self.q, u, places, _TOLERANCE)
-        return Trial(float(np.minimum(chi2, self.limit).sum()), lambda: self._taken(z, rig, q, u, chi2, used))
+        u, places = self.search.mounted(self.T, rig)
+        start = self.q
+        found = (
+            self.search.best(u, places) if start is None else self.search.fit(start, u, places, _TOLERANCE)
+        )
+        cost = float(np.minimum(found[3], self.limit).sum())
+        return Trial(cost, lambda: self._taken(z, rig, u, places, found))
 
     def _taken(
-        self, z: Array, rig: Rig, q: Array, u: Array, chi2: Array, used: Array
+        self, z: Array, rig: Rig, u: Array, places: list[Place], found: tuple[Array, ...]
     ) -> tuple[float, Array, Array]:
         """Go on from a better rig, with new weights of the shapes."""
-        search = self.search
+        search, (q, _, _, chi2, used) = self.search, found
         self.z, self.rig, self.q = z, rig, q
         dof = np.maximum(used - search.free.sum(), 1)
         self.typical = max(1.0, float(np.median(chi2 / dof)))
@@ -398,7 +407,7 @@ class _RigTrials:
         shares = np.sqrt(np.minimum(1.0, self.limit / np.maximum(chi2, 1e-300)))[:, None]
         weight = np.repeat(1 / np.array(search.noise), 3 * len(search.places)) * shares
         cost = float(np.minimum(chi2, self.limit).sum())
-        return cost, *_equations(_Bodies(search.robot, search.mounted(rig)), q, u, weight, search.free)
+        return cost, *_equations(_Bodies(search.robot, places), q, u, weight, search.free)
 
 
 def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
@@ -407,16 +416,13 @@ def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -
     R = model.robot.poses(q, model.places)[..., :3, :3]
     u_hat, J = model.linearise(q)
     r = weight * model.difference(u, u_hat)
-    there = np.isfinite(r)
+    weight = np.where(np.isfinite(r), weight, 0.0)[..., None]
     p, K = u_hat[:, : 3 * n].reshape(t, n, 3), np.zeros((t, 2, n, 3, 1 + n, 6))
     K[:, 0, :, :, 0, :3] = K[:, 1, :, :, 0, 3:] = np.eye(3)
     K[:, 0, :, :, 0, 3:] = np.swapaxes(np.cross(np.eye(3), p[:, :, None]), -1, -2)
     for k in range(n):
         K[:, 0, k, :, 1 + k, :3] = K[:, 1, k, :, 1 + k, 3:] = R[:, k]
-    K = np.where(there, weight, 0.0)[..., None] * K.reshape(t, 6 * n, -1)
-    J = np.where(there, weight, 0.0)[..., None] * J[..., free]
-    r = np.where(there, r, 0.0)
-    return eliminated(K, J, r)
+    return eliminated(weight * K.reshape(t, 6 * n, -1), weight * J[..., free], np.nan_to_num(r))
 
 
 def _moved(rig: Rig, delta: Array) -> Rig:
@@ -426,15 +432,6 @@ def _moved(rig: Rig, delta: Array) -> Rig:
     T[:, :3, :3], T[:, :3, 3] = Rotation.from_rotvec(each[:, 3:]).as_matrix(), each[:, :3]
     T[:, 3, 3] = 1.0
     return Rig(rig.base @ T[0], rig.bodies @ T[1:], rig.deviation)
-
-
-def _readings(T: Array, rig: Rig) -> Array:
-    """Return positions and rotation vectors in the base frame, ``[t, 6 n]``, NaN where nothing was measured."""
-    own = np.linalg.inv(rig.base) @ T
-    turns = np.full((*own.shape[:2], 3), np.nan)
-    there = np.isfinite(own[..., 0, 0])
-    turns[there] = _rotation_vectors(own[there][:, :3, :3])
-    return np.concatenate([own[..., :3, 3], turns], axis=1).reshape(len(T), -1)
 
 
 def _first_base(model_T: Array, T: Array, reach: float) -> Array:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.chain import arc_functions
@@ -99,7 +100,7 @@ class Rod:
         basis[:, np.repeat([3, 4, 5], counts), np.arange(self.n_q)] = np.stack(columns, axis=1)
         return basis
 
-    def motion(self, q: Any, arcs_m: Any) -> tuple[Array, Array]:
+    def motion(self, q: ArrayLike, arcs_m: ArrayLike) -> tuple[Array, Array]:
         r"""Return poses of places along the rod and their body Jacobians.
 
         A body Jacobian says by which twist, in its own frame, a pose moves: :math:`T^{-1} dT = (J\, dq)^\wedge`
@@ -125,21 +126,11 @@ class Rod:
             If ``q`` has another width, or a place is not on the rod.
         """
         q, n = np.ascontiguousarray(numbers(q, "q", "Rod", (..., None))), self.n_q
-        require(
-            q.shape[-1] in (n, n + 6),
-            "q",
-            "Rod",
-            f"of last dimension {n}, or {n + 6} with the twist of the base",
-            f"shape {q.shape}",
-        )
+        expected = f"of last dimension {n}, or {n + 6} with the twist of the base"
+        require(q.shape[-1] in (n, n + 6), "q", "Rod", expected, f"shape {q.shape}")
         arcs = numbers(arcs_m, "arcs_m", "Rod", (None,))
-        require(
-            ((arcs >= 0) & (arcs <= self.length * (1 + 1e-12))).all(),
-            "arcs_m",
-            "Rod",
-            f"between 0 and the length {self.length:g} m",
-            arcs,
-        )
+        there = (arcs >= 0) & (arcs <= self.length * (1 + 1e-12))
+        require(there.all(), "arcs_m", "Rod", f"between 0 and the length {self.length:g} m", arcs)
         T, J = (np.empty((*q.shape[:-1], len(arcs), *own)) for own in ((4, 4), (6, q.shape[-1])))
         for k in np.ndindex(q.shape[:-1]):
             T[k], J[k] = _along(self.basis, self.length / self.parts, q[k], arcs)
@@ -195,21 +186,16 @@ class RodSensor:
     """
 
     kind: str
-    std: Any
+    std: ArrayLike
     arc_m: float = 0.0
-    lasting_std: Any = ()
+    lasting_std: ArrayLike = ()
     lasting_time_s: float = math.inf
-    sensing: Callable[[Array], Any] | None = None
+    sensing: Callable[[Array], ArrayLike] | None = None
 
     def __post_init__(self) -> None:
         require(self.kind in _KINDS, "kind", "RodSensor", f"one of {', '.join(_KINDS)}", repr(self.kind))
-        require(
-            callable(self.sensing) if self.kind == "model" else self.sensing is None,
-            "sensing",
-            "RodSensor",
-            "a function for a model, and for a model only",
-            self.sensing,
-        )
+        fits = callable(self.sensing) if self.kind == "model" else self.sensing is None
+        require(fits, "sensing", "RodSensor", "a function for a model, and for a model only", self.sensing)
         numbers(self.arc_m, "arc_m", "RodSensor", ())
         require(self.lasting_time_s > 0, "lasting_time_s", "RodSensor", "positive [s]", self.lasting_time_s)
         _ = self.white, self.lasting
@@ -226,16 +212,11 @@ class RodSensor:
         return _positive(self.lasting_std, "lasting_std", "RodSensor", count)
 
 
-def _positive(value: Any, name: str, owner: str, count: int, *, finite: bool = True) -> Array:
+def _positive(value: ArrayLike, name: str, owner: str, count: int) -> Array:
     """Return so many positive numbers: one is repeated."""
-    found = numbers(value, name, owner, finite=finite)
-    require(
-        found.shape in ((), (count,)) and (found > 0).all(),
-        name,
-        owner,
-        f"positive, one number or one for each of {count}",
-        value,
-    )
+    found = numbers(value, name, owner)
+    fits = found.shape in ((), (count,)) and (found > 0).all()
+    require(fits, name, owner, f"positive, one number or one for each of {count}", value)
     return np.broadcast_to(found, (count,)).copy()
 
 
@@ -298,10 +279,10 @@ class RodFilter(MotionModel):
         self,
         rod: Rod,
         sensors: Sequence[RodSensor],
-        strain_std: Any,
-        rate: Any,
-        base_std: Any = None,
-        base_rate: Any = 0.1,
+        strain_std: ArrayLike,
+        rate: ArrayLike,
+        base_std: ArrayLike | None = None,
+        base_rate: ArrayLike = 0.1,
         iterations: int = 8,
     ) -> None:
         owner = "RodFilter"
@@ -310,13 +291,8 @@ class RodFilter(MotionModel):
         require(self.sensors, "sensors", owner, "at least one", "none")
         for sensor in self.sensors:
             require(isinstance(sensor, RodSensor), "sensors", owner, "RodSensors", type(sensor).__name__)
-            require(
-                0 <= sensor.arc_m <= rod.length * (1 + 1e-12),
-                "arc_m",
-                owner,
-                f"between 0 and the length {rod.length:g} m",
-                sensor.arc_m,
-            )
+            there = 0 <= sensor.arc_m <= rod.length * (1 + 1e-12)
+            require(there, "arc_m", owner, f"between 0 and the length {rod.length:g} m", sensor.arc_m)
         whole = isinstance(iterations, int) and iterations > 0
         require(whole, "iterations", owner, "a positive whole number", iterations)
         base = np.empty(0) if base_std is None else np.repeat(_positive(base_std, "base_std", owner, 2), 3)
@@ -348,7 +324,7 @@ class RodFilter(MotionModel):
     def widened(self, share: float) -> None:
         """Return nothing: there are no bounds."""
 
-    def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> KalmanState:
         """Return the state at ``q0``, or at a straight rod: at rest, without errors. Nothing is random."""
         q0 = np.zeros(self.n_q) if q0 is None else start(q0, self.n_q, "RodFilter")
         q = np.concatenate([q0, np.zeros((*q0.shape[:-1], len(self._lasting_std)))], axis=-1)
@@ -373,7 +349,12 @@ class RodFilter(MotionModel):
         return F, rest - F @ rest @ F.T
 
     def step(
-        self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: KalmanState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[KalmanState, Estimate]:
         """Predict to the time ``t`` and take in ``u``; see :class:`.Estimator`.
 
@@ -383,36 +364,36 @@ class RodFilter(MotionModel):
             If ``t`` is not after the last step, or a shape does not fit.
         """
         n, rows = self.n_q, self._rows
-        u = incoming(u, mask, "RodFilter", rows[-1])
-        truth: Any = known_coordinates(np.full(n, np.nan) if known is None else known, n, "RodFilter")
+        read = incoming(u, mask, "RodFilter", rows[-1])
+        truth = np.asarray(known_coordinates(np.full(n, np.nan) if known is None else known, n, "RodFilter"))
         require(state.t is None or t > state.t, "t", "RodFilter", f"after the last step, {state.t} s", t)
         state = self.predicted(state, t)
         x, m = np.concatenate([state.q, state.velocity], axis=-1), state.q.shape[-1]
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1], truth.shape[:-1])
-        x, u, truth = (np.broadcast_to(y, (*batch, y.shape[-1])).copy() for y in (x, u, truth))
+        batch = np.broadcast_shapes(x.shape[:-1], read.shape[:-1], truth.shape[:-1])
+        x, read, truth = (np.broadcast_to(y, (*batch, y.shape[-1])).copy() for y in (x, read, truth))
         P = np.broadcast_to(state.covariance, (*batch, n + m, n + m)).copy()
         for sensor, first, stop in zip(self.sensors, rows, rows[1:], strict=False):
             if sensor.kind in ("pose", "orientation"):
-                u[~np.isfinite(u[..., first:stop]).all(axis=-1), first:stop] = np.nan
+                read[~np.isfinite(read[..., first:stop]).all(axis=-1), first:stop] = np.nan
         if known is not None:
             unknown = np.full((*batch, m), np.nan)
             x, P = conditioned(x, P, np.concatenate([truth, unknown], axis=-1))
-        use, u_hat, chi2 = np.isfinite(u), np.empty(u.shape), np.zeros(batch)
+        use, u_hat, chi2 = np.isfinite(read), np.empty(read.shape), np.zeros(batch)
         for k in np.ndindex(batch):
             prior, before = x[k].copy(), P[k].copy()
             for _ in range(self.iterations if use[k].any() else 0):
                 last = x[k].copy()
                 x[k], P[k], chi2[k] = _improve(
-                    self._layout, n, last, prior, before, u[k], *self._models(last)
+                    self._layout, n, last, prior, before, read[k], *self._models(last)
                 )
                 if (np.abs(x[k] - last) < _STILL * self._scale).all():
                     break
-            u_hat[k] = _compare(self._layout, n, x[k], u[k], *self._models(x[k]))[0]
+            u_hat[k] = _compare(self._layout, n, x[k], read[k], *self._models(x[k]))[0]
         q, C, details = x[..., :n].copy(), P[..., :n, :n].copy(), {"lasting": x[..., n:m].copy()}
         estimate = Estimate(q, C, u_hat, chi2[()], use.sum(axis=-1), (~use).sum(axis=-1), details)
         return KalmanState(x[..., :m], x[..., m:], P, state.t), estimate
 
-    def positions(self, q: Any, covariance: Any, arcs_m: Any) -> tuple[Array, Array]:
+    def positions(self, q: ArrayLike, covariance: ArrayLike, arcs_m: ArrayLike) -> tuple[Array, Array]:
         """Return positions in the world of places along the rod, and their covariances, to first order.
 
         Parameters
