@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import training_sets
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -146,12 +147,12 @@ def test_rows_of_the_scorecard():
 
 @pytest.mark.parametrize(("n", "segment", "earth"), [(1, 0, False), (2, 1, False), (3, 1, True)])
 def test_rows_of_a_network_of_table_1(n, segment, earth):
-    xi, u = baaij.SegmentNetwork(n, segment, earth, 0).rows(40)
+    xi, u = training_sets.SegmentNetwork(n, segment, earth, 0).rows(40)
     np.testing.assert_allclose(xi, STORED[f"rows_{n}_xi"], rtol=0, atol=1e-6)
     np.testing.assert_allclose(u, STORED[f"rows_{n}_u"], rtol=0, atol=1e-6)
 
 
-NETWORKS = [baaij.AffineNetwork(8, 0), baaij.SegmentNetwork(1, 0, False, 0)]
+NETWORKS = [training_sets.AffineNetwork(8, 0), training_sets.SegmentNetwork(1, 0, False, 0)]
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda network: network.name)
@@ -163,7 +164,7 @@ def test_all_rows_are_those_that_a_committed_network_was_trained_on(network):
 
 
 def test_there_are_networks_for_every_row_of_the_paper():
-    names = [network.name for network in baaij.trained_networks()]
+    names = [network.name for network in training_sets.trained_networks()]
     assert len(set(names)) == 54
     assert all((ROOT / "data" / "networks" / f"{name}.safetensors").is_file() for name in names)
 
