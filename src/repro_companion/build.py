@@ -18,15 +18,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from repro_companion import run as tool
 from repro_companion.kernels import compile_kernels
 from repro_companion.run import InputError, Parameter, Point, RunFailed
-from repro_companion.show import rendered
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from repro_companion.scorecard import beside, scorecard, write
+from repro_companion.scorecard_page import write_pages
+from repro_companion.show import rendered, show
 
 LONGEST = 60
 """Rows of a table that a page shows in full; of a longer one it has the file."""
@@ -49,8 +50,6 @@ def alone(root: Path) -> Iterator[None]:
 
 def build(root: Path, jobs: int) -> str:
     """Build the book; return what was done, in a sentence."""
-    from repro_companion.scorecard_page import write_pages
-
     executed, results = root / "book" / "notebooks", results_folder(root)
     notebooks = {path.stem: path for path in sorted((root / "notebooks").glob("*.ipynb"))}
     for leftover in executed.glob("*"):
@@ -152,13 +151,11 @@ def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> 
             table.unlink()
 
 
-def write_scorecard(root: Path, results: Path) -> tuple[DataFrame, DataFrame, DataFrame]:
+def write_scorecard(root: Path, results: Path) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Compare the tables with every printed number; return what was written, and both states that the site shows.
 
     The state without the authors' files is always that of ``results/``, whose tables are committed.
     """
-    from repro_companion.scorecard import beside, scorecard, write
-
     results.mkdir(parents=True, exist_ok=True)
     folders = results, root / "results", root / "data" / "studies"
     here, without, studies = (sorted(folder.glob("*.rows.csv")) for folder in folders)
@@ -216,10 +213,6 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
 
 def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
     """Return the fold with all tables of a page, each with its file."""
-    import pandas as pd
-
-    from repro_companion.show import show
-
     results, page, tables = results_folder(root), root / "book" / "notebooks", []
     for file in record["results"]:
         table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])

@@ -30,8 +30,8 @@ from repro.chain import Place, point_on
 from repro.estimators.base import Estimate
 from repro.networks import Network, load_network
 from repro.tolerances import Tolerances
-from repro_companion.scorecard import kinds
-from repro_companion.show import project_folder, ratio_interval
+from repro_companion.scorecard import COMPARED, kinds
+from repro_companion.show import project_folder, ratio_interval, sentences
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -188,10 +188,9 @@ ROWS = (
 def rows_named(names: Sequence[str] = (), *, repeated: bool = False) -> list[Row]:
     """Return the rows of these names, all when there is none; rows that print a run again only if ``repeated``."""
     known = [row for row in ROWS if repeated or not row.same_as]
-    if wrong := [name for name in names if name not in [row.name for row in known]]:
-        raise ValueError(
-            f"Table 1 has no row {', '.join(wrong)}; it has {', '.join(row.name for row in known)}."
-        )
+    there = [row.name for row in known]
+    if wrong := [name for name in names if name not in there]:
+        raise ValueError(f"Table 1 has no row {', '.join(wrong)}; it has {', '.join(there)}.")
     return [row for row in known if not names or row.name in names]
 
 
@@ -277,40 +276,38 @@ def scorecard_rows(errors: pd.DataFrame, gains: pd.DataFrame, setting: str) -> p
     return table.assign(best_method=table["best"].map(lambda _: BEST_METHOD, na_action="ignore"))
 
 
+IN_WORDS = """
+**{{ within }} of {{ compared }} distinct numbers agree within three standard errors**,
+{{ better or "none" }} {{ "is" if better == 1 else "are" }} smaller and
+{{ differ or "none" }} {{ "differs" if differ == 1 else "differ" }}.
+{% if weak %}
+For {{ weak }} of the {{ within }} the scatter is so wide that even an error of zero would pass, so their
+agreement says little.
+{% endif %}
+{% if total.cells %}
+Of the {{ total.cells }} relative errors (without six sensors) {{ total.below }} are smaller than published; our
+errors are **{{ total.ratio | fixed(2) }} times the published ones** in the geometric mean.
+{% endif %}
+"""
+
+
 def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     """Return how many numbers of Table 1 agree, and how large our errors are against the published ones."""
-    again = card["row"].isin([row.name for row in ROWS if row.same_as])
-    own = card[~again & card["verdict"].isin(["reproduced", "better", "differs"])]
-    within, total = own["verdict"] == "reproduced", bias.iloc[-1]
-
-    def counted(rows: pd.Series, one: str, many: str) -> str:
-        n = int(rows.sum())
-        return f"{n or 'none'} {one if n == 1 else many}"
-
-    words = (
-        f"**{within.sum()} of {len(own)} distinct numbers agree within three standard errors**,"
-        f" {counted(own['verdict'] == 'better', 'is', 'are')} smaller and"
-        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}."
-    )
-    if n := int((within & (own["weak"] == "true")).sum()):
-        words += (
-            f" For {n} of the {within.sum()} the scatter is so wide that even an error of zero would pass, so"
-            " their agreement says little."
-        )
-    if total["cells"]:
-        words += (
-            f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than"
-            f" published; our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
-        )
-    return words
+    own = card[~card["row"].isin([row.name for row in ROWS if row.same_as])]
+    counts = {verdict: int((own["verdict"] == verdict).sum()) for verdict in COMPARED}
+    weak = ((own["verdict"] == "reproduced") & (own["weak"] == "true")).sum()
+    said = {"within": counts["reproduced"], "better": counts["better"], "differ": counts["differs"]}
+    return sentences(IN_WORDS, **said, compared=sum(counts.values()), weak=weak, total=bias.iloc[-1])
 
 
 def setting(iterations: int = ITERATIONS, noise_mt: float = 0.0, steps: int = STEPS) -> str:
     """Return what the paper's method was run with: as released, and what is another here."""
-    own = [f"{iterations} evaluations"] * (iterations != ITERATIONS) + [f"noise {noise_mt:g} mT"] * (
-        noise_mt != 0
-    )
-    return "; here ".join([SETTING, *own, *[f"{steps} steps"] * (steps != STEPS)])
+    own = {
+        f"{iterations} evaluations": iterations != ITERATIONS,
+        f"noise {noise_mt:g} mT": noise_mt != 0,
+        f"{steps} steps": steps != STEPS,
+    }
+    return "; here ".join([SETTING, *(words for words, differs in own.items() if differs)])
 
 
 def bias(errors: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
@@ -327,24 +324,16 @@ def bias(errors: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
             printed_std=("std", "first"),
         )
         seed = np.exp(np.log(group["error"] / group["value"]).groupby(group["seed"]).mean())
-        ratio, spread = (
-            np.exp(np.log(x).mean())
-            for x in (cell["mean"] / cell["value"], cell["std"] / cell["printed_std"])
-        )
-        lines.append(
-            (
-                label,
-                len(cell),
-                int((cell["mean"] < cell["value"]).sum()),
-                ratio,
-                seed.min(),
-                seed.max(),
-                spread,
-            )
-        )
-    return pd.DataFrame(
-        lines, columns=["n_b", "cells", "below", "ratio", "lowest_seed", "highest_seed", "std_ratio"]
-    )
+        lines.append({
+            "n_b": label,
+            "cells": len(cell),
+            "below": int((cell["mean"] < cell["value"]).sum()),
+            "ratio": np.exp(np.log(cell["mean"] / cell["value"]).mean()),
+            "lowest_seed": seed.min(),
+            "highest_seed": seed.max(),
+            "std_ratio": np.exp(np.log(cell["std"] / cell["printed_std"]).mean()),
+        })  # fmt: skip
+    return pd.DataFrame(lines)
 
 
 def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs: int = 0) -> pd.DataFrame:

@@ -35,7 +35,7 @@ from repro.motion_files import read_motion, undo_exchanges
 from repro_board.lag import search_lag
 from repro_companion.papers.fetch import read_sources
 from repro_companion.run import digest, project_folder, recordings_folder
-from repro_companion.show import number, ratio_interval
+from repro_companion.show import number, ratio_interval, sentences
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -141,16 +141,9 @@ class Setting:
                 iterations=5,
             )
         sigma = math.sqrt(2) * self.noise_mt or SIGMA_MT
-        estimate, resampling, motion = self.how
-        return particle_filter(
-            np.full(batch, self.process_noise_pi),
-            self.length,
-            sigma,
-            particles=self.particles,
-            estimate=estimate,
-            resampling=resampling,
-            motion=motion,
-        )
+        how = dict(zip(("estimate", "resampling", "motion"), self.how, strict=True))
+        noise_pi = np.full(batch, self.process_noise_pi)
+        return particle_filter(noise_pi, self.length, sigma, particles=self.particles, **how)
 
 
 OURS = ("weighted", "systematic", "constant velocity")
@@ -181,11 +174,12 @@ def follow(
 
 def errors_over_time(errors: dict[tuple[Setting, str], np.ndarray]) -> pd.DataFrame:
     """Return errors ``[t]`` [mm] by setting and curve as one table."""
-    t, tables = times(), []
-    for (setting, name), error in errors.items():
-        run = {"setting": setting.name, "process_noise_pi": setting.process_noise_pi}
-        run |= {"particles": setting.particles}
-        tables.append(pd.DataFrame({"curve": name, "t": t[: len(error)], "error_mm": error, **run}))
+    tables = [
+        pd.DataFrame({"curve": name, "t": times()[: len(error)], "error_mm": error}).assign(
+            setting=setting.name, process_noise_pi=setting.process_noise_pi, particles=setting.particles
+        )
+        for (setting, name), error in errors.items()
+    ]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -532,19 +526,25 @@ KINDS_OF_FILES = {
 }
 
 
+FILES = """
+{% if not found %}
+We may not pass the recordings on, so this page was built without them. Its numbers are from a run with 9 of the 12
+takes and two of three repetitions at nominal bends. The first command brings all {{ listed }} files
+({{ megabytes | fixed(0) }} MB). Then the page draws Figs 8 and 9 over time, and computes every number from your copy.
+{% elif missing %}
+Not found: {{ missing | join(", ") }}. {{ checked }} What needs the missing ones stands here as an earlier run found
+it, or not at all. These commands bring them:
+{% else %}
+All {{ listed }} released files are here. {{ checked }}
+{% endif %}
+"""
+COMMAND = "\n\n```bash\n.venv/bin/repro fetch mitchell2021\nmake page P=bend_tests\n```\n"
+
+
 def files_in_words() -> str:
     """Return which of the released recordings are in REPRO_DATA_DIR, and which are not those, by their hashes."""
     listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
     found = {one.path: digest(recordings_folder() / one.name) for one in listed}
-    command = "\n\n```bash\n.venv/bin/repro fetch mitchell2021\nmake page P=bend_tests\n```\n"
-    if not any(found.values()):
-        return (
-            "We may not pass the recordings on, so this page was built without them. Its numbers are from a"
-            " run with 9 of the 12 takes and two of three repetitions at nominal bends. The first command"
-            f" brings all {len(listed)} files"
-            f" ({1e-6 * sum(one.size or 0 for one in listed):.0f} MB). Then the page draws Figs 8 and 9 over time,"
-            f" and computes every number from your copy.{command}"
-        )
     missing = []
     for kind, words in KINDS_OF_FILES.items():
         own = [one for path, one in found.items() if path.startswith(f"{kind}/")]
@@ -552,12 +552,9 @@ def files_in_words() -> str:
     other = [one.path for one in listed if found[one.path] not in ("", one.sha256)]
     named = f"**Not the released files: {', '.join(other[:5])}{' and others' * (len(other) > 5)}.**"
     checked = named if other else "What was found has its published checksums."
-    if missing:
-        return (
-            f"Not found: {', '.join(missing)}. {checked} What needs the missing ones stands here as an earlier run"
-            f" found it, or not at all. These commands bring them:{command}"
-        )
-    return f"All {len(listed)} released files are here. {checked}"
+    megabytes = 1e-6 * sum(one.size or 0 for one in listed)
+    told = {"missing": missing, "checked": checked, "listed": len(listed), "megabytes": megabytes}
+    return sentences(FILES, found=any(found.values()), **told) + COMMAND * bool(missing)
 
 
 def of_recordings(name: str, computed: pd.DataFrame | None) -> pd.DataFrame:
@@ -836,19 +833,21 @@ def bend_errors(runs: Sequence[Run]) -> pd.DataFrame:
     lines = []
     for run in runs:
         truth, off = np.abs(run.take.q), np.abs(run.q) - np.abs(run.take.q)
+        size = np.degrees(truth)
         alike = [other for other in runs if other.name == run.name and other.take.test != run.take.test]
         mean = sum(other.turned.sum() for other in alike) if run.calibration in TURN_UNKNOWN else 1.0
-        turned = np.angle(run.turned / np.exp(1j * np.angle(mean)))
-        line = {"method": run.method, "calibration": run.calibration, "length_mm": run.length_mm}
-        line |= {"name": run.name, "take": run.take.name}
-        for name, (low, high) in BENDS_DEG.items():
-            line[name] = rms_deg(off[(np.degrees(truth) >= low) & (np.degrees(truth) < high)])
-        line["rmse_tilt_z_deg"] = rms_deg(np.abs(run.q) - run.take.tilt_z)
-        line["direction_deg"] = rms_deg(turned)
-        line["within_percent"] = np.nan
-        if run.deviation is not None:
-            line["within_percent"] = 100 * (np.abs(off) <= 2 * run.deviation)[np.isfinite(off)].mean()
-        lines.append(line)
+        within = None if run.deviation is None else (np.abs(off) <= 2 * run.deviation)[np.isfinite(off)]
+        lines.append({
+            "method": run.method,
+            "calibration": run.calibration,
+            "length_mm": run.length_mm,
+            "name": run.name,
+            "take": run.take.name,
+            **{name: rms_deg(off[(size >= low) & (size < high)]) for name, (low, high) in BENDS_DEG.items()},
+            "rmse_tilt_z_deg": rms_deg(np.abs(run.q) - run.take.tilt_z),
+            "direction_deg": rms_deg(np.angle(run.turned / np.exp(1j * np.angle(mean)))),
+            "within_percent": np.nan if within is None else 100 * within.mean(),
+        })  # fmt: skip
     return pd.DataFrame(lines)
 
 

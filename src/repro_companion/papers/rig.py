@@ -17,7 +17,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -600,6 +600,13 @@ TEST_SHARE = 0.3
 LEARNING_RATE = 5e-5
 
 
+BADGES = {
+    "simulated": "simulated rig",
+    "recorded": "recorded by the authors",
+    "own": "your own recordings",
+}
+
+
 @dataclass(frozen=True)
 class Data:
     """T5.train, and the test part of every trajectory: the whole of T4, the end of the others."""
@@ -607,17 +614,12 @@ class Data:
     train: Recording
     tests: dict[str, Recording]
     source: str
-    """``simulated``, ``recorded`` by the authors, or ``own``: other files under the authors' names."""
+    """One of `BADGES`; ``own`` are other files under the authors' names."""
 
     @property
     def badge(self) -> str:
         """What a table says of its origin."""
-        words = {
-            "simulated": "simulated rig",
-            "recorded": "recorded by the authors",
-            "own": "your own recordings",
-        }
-        return words[self.source]
+        return BADGES[self.source]
 
     @property
     def remarks(self) -> list[str]:
@@ -759,16 +761,15 @@ def errors(
     e_u = np.sqrt(((predicted - u[:, :, None]) ** 2).mean(0)).mean(-1)
     e_q = {name: np.sqrt(((estimate - q[:, :, None]) ** 2).mean(0)) for name, estimate in found.items()}
     lines = []
-    for i, (name, whole) in enumerate(data.tests.items()):
-        for elongation, error in e_q.items():
-            cells = [[("e_u", "mV", e_u[i]), ("e_u", "%", 100 / np.ptp(whole.u) * e_u[i])], []]
-            for k, quantity in enumerate(("delta_x", "delta_y")):
-                share = 100 / np.ptp(whole.q[:, k])
-                cells[1] += [(quantity, "mm", 1e3 * error[i, :, k]), (quantity, "%", share * error[i, :, k])]
-            for part in cells:
-                for seed in range(error.shape[1]):
-                    line = elongation, row_name(name), seed
-                    lines += [(*line, quantity, unit, values[seed]) for quantity, unit, values in part]
+    for (i, (name, whole)), elongation in product(enumerate(data.tests.items()), e_q):
+        of_readings = [("e_u", "mV", e_u[i]), ("e_u", "%", 100 / np.ptp(whole.u) * e_u[i])]
+        of_bend = []
+        for k, quantity in enumerate(("delta_x", "delta_y")):
+            error = e_q[elongation][i, :, k]
+            of_bend += [(quantity, "mm", 1e3 * error), (quantity, "%", 100 / np.ptp(whole.q[:, k]) * error)]
+        for cells, seed in product((of_readings, of_bend), range(e_q[elongation].shape[1])):
+            line = elongation, row_name(name), seed
+            lines += [(*line, quantity, unit, values[seed]) for quantity, unit, values in cells]
     return pd.DataFrame(lines, columns=["elongation", "row", "seed", "quantity", "unit", "error"])
 
 
@@ -867,10 +868,10 @@ def paths(data: Data) -> pd.DataFrame:
     parts = []
     for name, part in data.tests.items():
         q, time_s = (values[: round(60 * RATE_HZ) : 4] for values in (part.q, part.time_s))
-        tip = robot().tip(q)[:, :3, 3]
-        bends = {f"delta_{axis}_mm": 1e3 * q[:, c] for c, axis in enumerate("xy")}
-        tips = {f"tip_{axis}_mm": 1e3 * tip[:, c] for c, axis in enumerate("xyz")}
-        parts.append(pd.DataFrame({"recording": name, "time_s": time_s, **bends, **tips}))
+        mm = 1e3 * np.hstack([q[:, :2], robot().tip(q)[:, :3, 3]])
+        columns = ["delta_x_mm", "delta_y_mm", "tip_x_mm", "tip_y_mm", "tip_z_mm"]
+        about = pd.DataFrame({"recording": name, "time_s": time_s})
+        parts.append(about.join(pd.DataFrame(mm, columns=columns)))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -1017,27 +1018,19 @@ def judgement(study: pd.DataFrame) -> pd.DataFrame:
 
 def claims(printed: pd.DataFrame, lines: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return what the paper says of Table 2, and what its cells and those of tables of errors give [%]."""
-    key, table = (
-        ["row", "quantity", "unit"],
-        {"Table 2": printed.set_index(["row", "quantity", "unit"])["value"]},
-    )
+    key = ["row", "quantity", "unit"]
+    table = {"Table 2": printed.set_index(key)["value"]}
     for name, errors in lines.items():
         table[name] = errors[errors["elongation"] == "known"].groupby(key)["error"].mean()
-    found = {
-        "readings: mean 3.1": {},
-        "readings: 0.6 to 4.6": {},
-        "bend: mean 4.5": {},
-        "bend: 1.9 to 13.6": {},
-    }
-    across_t1 = row_name("T1"), "delta_y", "%"
+    said = ("readings: mean 3.1", "readings: 0.6 to 4.6", "bend: mean 4.5", "bend: 1.9 to 13.6")
+    columns = {"claim": said}
     for name, values in table.items():
-        relative = values[values.index.get_level_values("unit") == "%"].drop([across_t1], errors="ignore")
-        readings = relative.index.get_level_values("quantity") == "e_u"
-        for k, part in enumerate((relative[readings], relative[~readings])):
-            mean, limits = list(found)[2 * k : 2 * k + 2]
-            found[mean][name] = f"{part.mean():.1f}"
-            found[limits][name] = f"{part.min():.1f} to {part.max():.1f}"
-    return pd.DataFrame([{"claim": claim, **values} for claim, values in found.items()])
+        relative = values.xs("%", level="unit").drop([(row_name("T1"), "delta_y")], errors="ignore")
+        parts = relative.xs("e_u", level="quantity"), relative.drop("e_u", level="quantity")
+        columns[name] = [
+            words for x in parts for words in (f"{x.mean():.1f}", f"{x.min():.1f} to {x.max():.1f}")
+        ]
+    return pd.DataFrame(columns)
 
 
 def outside(train: Recording, q: np.ndarray) -> np.ndarray:
