@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import GradientDescent, InputError, Sensing, track
 from repro.chain import place
-from repro_companion.papers import rig
+from repro_companion.papers import fetch, rig
 from repro_companion.show import published
 
 from .sample import STORED
@@ -138,7 +138,7 @@ def test_files_in_the_authors_formats_give_the_recording(files, t1):
 def released(files, tmp_path, monkeypatch):
     """Recordings of our own in the released form: twelve files, whose hashes are on the list."""
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
-    monkeypatch.setattr(rig, "project_folder", lambda: tmp_path)
+    monkeypatch.setattr(fetch, "project_folder", lambda: tmp_path)
     listed = []
     for whole in rig.NAMES.values():
         for path, of_t1 in zip(rig._raw(tmp_path / rig.FOLDER, whole), files, strict=True):

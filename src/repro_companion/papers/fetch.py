@@ -19,6 +19,7 @@ from typing import Any
 from urllib.parse import quote, urljoin
 
 from repro.common import InputError, bad_input, require
+from repro_companion.run import project_folder, recordings_folder
 
 FILES = "https://raw.githubusercontent.com"
 LARGE_FILES = "https://media.githubusercontent.com/media"
@@ -120,6 +121,20 @@ def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
     require(len(readers) == 1, f"reader of {path}", owner, "one, with files, page and use", len(readers))
     page, use = (readers[0][key] for key in ("page", "use"))
     return Source(paper, path, repository[1], commit, sha256, git_blob, size, large, page, use)
+
+
+def listed_files(paper: str) -> list[Source]:
+    """Return the files of a paper that are listed."""
+    return read_sources(project_folder() / "data" / "sources.json", paper)
+
+
+def states(paper: str) -> dict[str, str]:
+    """Return of each listed file of a paper, by its path, whether it is released, another, or missing here."""
+    places = {source: recordings_folder() / source.name for source in listed_files(paper)}
+    return {
+        source.path: "released" if source.is_at(place) else "another" if place.is_file() else "missing"
+        for source, place in places.items()
+    }
 
 
 def listing(sources: Sequence[Source], folder: Path) -> str:

@@ -33,8 +33,8 @@ from repro.estimators.particle import BendDisc
 from repro.motion_files import Motion as MotionCapture
 from repro.motion_files import read_motion, undo_exchanges
 from repro_board.lag import search_lag
-from repro_companion.papers.fetch import read_sources
-from repro_companion.run import digest, project_folder, recordings_folder
+from repro_companion.papers.fetch import listed_files, states
+from repro_companion.run import project_folder, recordings_folder
 from repro_companion.show import number, ratio_interval, sentences
 
 LENGTH = 15e-3
@@ -543,18 +543,16 @@ COMMAND = "\n\n```bash\n.venv/bin/repro fetch mitchell2021\nmake page P=bend_tes
 
 def files_in_words() -> str:
     """Return which of the released recordings are in REPRO_DATA_DIR, and which are not those, by their hashes."""
-    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
-    found = {one.path: digest(recordings_folder() / one.name) for one in listed}
-    missing = []
+    found, listed, missing = states(FOLDER), listed_files(FOLDER), []
     for kind, words in KINDS_OF_FILES.items():
-        own = [one for path, one in found.items() if path.startswith(f"{kind}/")]
-        missing += [f"{own.count('')} of {len(own)} files {words}"] if "" in own else []
-    other = [one.path for one in listed if found[one.path] not in ("", one.sha256)]
+        own = [state for path, state in found.items() if path.startswith(f"{kind}/")]
+        missing += [f"{own.count('missing')} of {len(own)} files {words}"] if "missing" in own else []
+    other = [path for path, state in found.items() if state == "another"]
     named = f"**Not the released files: {', '.join(other[:5])}{' and others' * (len(other) > 5)}.**"
     checked = named if other else "What was found has its published checksums."
     megabytes = 1e-6 * sum(one.size or 0 for one in listed)
     told = {"missing": missing, "checked": checked, "listed": len(listed), "megabytes": megabytes}
-    return sentences(FILES, found=any(found.values()), **told) + COMMAND * bool(missing)
+    return sentences(FILES, found=set(found.values()) != {"missing"}, **told) + COMMAND * bool(missing)
 
 
 def of_recordings(name: str, computed: pd.DataFrame | None) -> pd.DataFrame:

@@ -43,7 +43,7 @@ from repro.common import bad_input, require
 from repro.networks import load_network
 from repro.sensing import relations
 from repro_board.lag import search_lag
-from repro_companion.papers.fetch import read_sources
+from repro_companion.papers.fetch import states
 from repro_companion.run import project_folder, recordings_folder
 from repro_companion.scorecard import AUTHORS
 
@@ -652,7 +652,7 @@ def load(source: str = "auto") -> Data:
             name: aligned(configurations(read_capture(capture), name), read_readings(sensors), name)
             for name, (capture, sensors) in files.items()
         }
-        source = "recorded" if _released([path for pair in files.values() for path in pair]) else "own"
+        source = "recorded" if set(states("baaij2023").values()) == {"released"} else "own"
     return divided(recordings, source)
 
 
@@ -670,13 +670,6 @@ def divided(recordings: dict[str, Recording], source: str) -> Data:
 
 def _first_of_test(recording: Recording) -> int:
     return math.ceil((len(recording) - 1) * (1 - TEST_SHARE))
-
-
-def _released(paths: Sequence[Path]) -> bool:
-    """Whether all files have the hashes of data/sources.json."""
-    listed = read_sources(project_folder() / "data" / "sources.json", "baaij2023")
-    hashes = {source.sha256 for source in listed}
-    return all(hashlib.sha256(path.read_bytes()).hexdigest() in hashes for path in paths)
 
 
 def networks(data: Data, seed: int) -> list[Any]:
