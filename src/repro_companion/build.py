@@ -18,13 +18,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from repro_companion import run as tool
 from repro_companion.kernels import compile_kernels
-from repro_companion.run import InputError, Parameter, Point, RunFailed
+from repro_companion.run import InputError, Parameter, Point, Record, RunFailed
 from repro_companion.scorecard import beside, scorecard, write
 from repro_companion.scorecard_page import write_pages
 from repro_companion.show import rendered, show
@@ -169,7 +168,7 @@ def write_scorecard(root: Path, results: Path) -> tuple[pd.DataFrame, pd.DataFra
 # The page of a notebook
 
 
-def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
+def page_of(executed: Record, root: Path, name: str) -> Record:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
     record = tool.read_record(place)
@@ -211,7 +210,7 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     return {**executed, "cells": [*cells[:1], *first, *cells[1:], *folds]}
 
 
-def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
+def _numbers(record: Record, root: Path, name: str) -> str:
     """Return the fold with all tables of a page, each with its file."""
     results, page, tables = results_folder(root), root / "book" / "notebooks", []
     for file in record["results"]:
@@ -222,7 +221,7 @@ def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
     return rendered("fold_numbers.md", tables=tables) if tables else ""
 
 
-def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], name: str) -> str:
+def _parameters(parameters: Mapping[str, Parameter], record: Record, name: str) -> str:
     """Return the fold with the parameters and the command that repeats the page with others."""
     if not parameters:
         return ""
@@ -235,7 +234,7 @@ def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], 
     return rendered("fold_parameters.md", parameters=parameters.values(), here=here, name=name, chosen=chosen)
 
 
-def _provenance(record: Mapping[str, Any], name: str) -> str:
+def _provenance(record: Record, name: str) -> str:
     """Return the fold that says what the page was made from."""
     return rendered("fold_provenance.md", record=record, name=name)
 

@@ -400,9 +400,9 @@ def _over_time(
     panel: Axes, part: pd.DataFrame, colour: str, works: pd.Series | None = None, label: str = ""
 ) -> None:
     t, truth, mean, deviation = (part[name] for name in ("time_s", "truth", "mean", "std"))
-    works = truth.notna() if works is None else works
-    panel.plot(t, truth.where(works), color=colour, lw=3.6, alpha=0.45, label=label)
-    panel.plot(t, truth.mask(works), color=colour, lw=3.6, alpha=0.15)
+    valid = truth.notna() if works is None else works
+    panel.plot(t, truth.where(valid), color=colour, lw=3.6, alpha=0.45, label=label)
+    panel.plot(t, truth.mask(valid), color=colour, lw=3.6, alpha=0.15)
     panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
     panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
 

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from itertools import groupby, product
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -188,7 +187,7 @@ def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
     return rendered("rows.md", parts=[_part(rows, places[names]) for names, rows in groups], words=words)
 
 
-def _part(rows: pd.DataFrame, place: str) -> dict[str, Any]:
+def _part(rows: pd.DataFrame, place: str) -> dict[str, object]:
     """Return what the page shows of one table, figure or section."""
     total = rows["kind"].value_counts().reindex(KINDS).dropna()
     plural = {kind: kind.replace("differs", "differ") for kind in KINDS}
@@ -205,7 +204,7 @@ def _part(rows: pd.DataFrame, place: str) -> dict[str, Any]:
     }
 
 
-def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+def _numbers(row: Mapping[str, str]) -> dict[str, object]:
     """Return what the page shows of one row: its numbers, and what is known of it in a second line."""
     unit = "\N{NO-BREAK SPACE}" + words(row["unit"])
     printed = " ± ".join(row[name].replace("-", "−") for name in ("published", "published_std") if row[name])
@@ -230,7 +229,7 @@ def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_spread(row: Mapping[str, Any], name: str, unit: str) -> str:
+def _with_spread(row: Mapping[str, str], name: str, unit: str) -> str:
     """Return a number of a row and its deviation, empty if there is none."""
     numbers = [number(float(row[column])) for column in (name, f"{name}_std") if row[column]]
     return " ± ".join(numbers) + unit if numbers else ""

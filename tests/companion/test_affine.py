@@ -111,7 +111,7 @@ def test_a_descent_from_the_other_name_is_the_mirror_image():
     """What the exercise of the page says."""
     truth = flower(60)
     u = repro.simulated_readings(baaij.affine_robot(), truth)
-    descent = repro.GradientDescent(repro.Sensing(baaij.affine_robot()), baaij.AFFINE_STEP_SIZES)
+    descent = repro.GradientDescent(repro.Sensing(baaij.affine_robot()), [1.0, 5.0, 1.0, 2e-4])
     other = truth[0] * [-1, -1, 1, 1] + [0, 0, math.pi, 0]
     one, two = (repro.track(descent, u, start).q for start in (truth[0], other))
     np.testing.assert_allclose(two, one * [-1, -1, 1, 1] + [0, 0, math.pi, 0], rtol=0, atol=1e-7)

@@ -37,7 +37,7 @@ def up_and_down(t, duration_s=DURATION_S):
 
 def field_mt(bend, towards, rng):
     """Magpylib's field, seen by the invented sensor with noise."""
-    u = mitchell.readings(mitchell.bend_vector(bend, towards), mitchell.RECORDED_LENGTH)
+    u = mitchell.readings(mitchell.bend_vector(bend, towards), 13e-3)
     u[..., :2] = GAIN * u[..., :2] + TILTED_MT
     return u + mitchell.SENSOR_NOISE_MT * rng.standard_normal(u.shape)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -213,7 +213,7 @@ def run_row(
 
 
 def table_1(
-    rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: Any
+    rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: float
 ) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
     """Return the errors of all rows and seeds, and the configurations found with the first seed, by row."""
     tasks = [delayed(run_row)(row, seed, **options) for row in rows for seed in seeds]
@@ -342,7 +342,7 @@ def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs
     q, folder = lemniscate(1, steps=steps), project_folder() / "data" / "networks"
     u = simulate(robot(1), q)
 
-    def errors(name: str, seed: int) -> list[dict[str, Any]]:
+    def errors(name: str, seed: int) -> list[dict[str, str | float]]:
         file = f"{kinds[name]}_nb1_segment1_seed{seed}.safetensors"
         sensing = Sensing(robot(1), load_network(folder / file) if kinds[name] else None)
         seen = u + noise(noise_mt, seed, *u.shape)
@@ -360,8 +360,8 @@ def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs
     # Without noise nothing of the series depends on a seed.
     pairs = [(name, s) for name, kind in kinds.items() for s in seeds[: None if kind or noise_mt else 1]]
     tasks = [delayed(errors)(*pair) for pair in pairs]
-    lines: list[Any] = list(Parallel(n_jobs=jobs or -1, prefer="threads")(tasks))
-    return pd.DataFrame([line for of_one in lines for line in of_one])
+    lines = list(Parallel(n_jobs=jobs or -1, prefer="threads")(tasks))
+    return pd.DataFrame([line for of_one in lines for line in of_one or []])
 
 
 def pose_errors(arm: Robot, found: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -541,7 +541,7 @@ def measured_draw(
     q: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
     draw: int,
-    earth_mt: Any = None,
+    earth_mt: np.ndarray | None = None,
     noise_mt: float = NOISE_MT,
 ) -> Session:
     """Return one draw of a robot with errors, measured in poses from a box and along a trajectory."""
@@ -578,7 +578,7 @@ def tips(robot: Robot) -> list[Place]:
 
 
 def configurations(
-    robot: Robot, T: np.ndarray, high: np.ndarray | None = None, start: Any = 0.0
+    robot: Robot, T: np.ndarray, high: np.ndarray | None = None, start: ArrayLike = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the configurations within ``+-high`` that fit measured poses of all tips best, and their covariances."""
     places, high = tips(robot), 2 * bounds(len(robot.segments))[1] if high is None else high
@@ -622,7 +622,6 @@ def errors_of_draw(row: Row, draw: int, noise_mt: float = NOISE_MT) -> list[np.n
 
 # Affine curvature, section 4
 
-AFFINE_STEP_SIZES = (1.0, 5.0, 1.0, 2e-4)
 CURVATURE = (0.3 * math.pi, 1.2 * math.pi)
 """Bounds of the curvatures in the training set, either way [rad]."""
 AFFINE_BOUNDS = (

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import BinaryIO
 from urllib.parse import quote, urljoin
 
 from repro.common import InputError, bad_input, require
@@ -264,7 +264,7 @@ def _receive(address: str, path: Path, most: int) -> str:
     return f"more than {REDIRECTS} redirects"
 
 
-def _written(body: Any, path: Path, most: int) -> str:
+def _written(body: BinaryIO, path: Path, most: int) -> str:
     received = 0
     with path.open("wb") as file:
         # We take what has arrived, however little, so that a server that drips is seen to send something.

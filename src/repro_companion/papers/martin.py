@@ -8,10 +8,11 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation, Slerp
@@ -98,7 +99,7 @@ def at_the_markers(made: Arm) -> Arm:
     return replace(made, markers=markers)
 
 
-def shape(q: np.ndarray, made: Arm, arcs: Any) -> np.ndarray:
+def shape(q: np.ndarray, made: Arm, arcs: ArrayLike) -> np.ndarray:
     """Return positions ``[..., points, 3]`` [m] by the arm's model, from orientations of base and all IMUs."""
     model = pcc_extended if np.any(made.sub_segments) else rigid_body
     return model(made.select(q), made, arcs)
@@ -434,7 +435,7 @@ TIME_NOTE = (
     "CPU seconds of one core for 8,000 samples; the printed 18 minutes are of another computer, and the times in the "
     "released pcc2.csv span 20.7 min, so replay may be included: no ratio is stated"
 )
-NOTES: dict[Any, str] = {
+NOTES: dict[str | tuple[str, str], str] = {
     "Fig. 3": "read off the figure",
     "Fig. 5": "read off the figure",
     "Section IV-A": "taken for marker M1",

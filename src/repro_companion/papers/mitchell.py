@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta, timezone
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -60,7 +61,7 @@ def robot(length: float = LENGTH) -> Robot:
     return Robot([arc], [Magnet(CUBE, segment=1, at=length)], [Sensor(segment=0, at=0.0, axes=3)])
 
 
-def bend_vector(angle: Any, direction: Any) -> np.ndarray:
+def bend_vector(angle: np.ndarray | float, direction: np.ndarray | float) -> np.ndarray:
     """Return bend vectors ``[..., 2]`` [rad]; a negative angle bends the other way."""
     return np.stack([angle * np.cos(direction), angle * np.sin(direction)], axis=-1)
 
@@ -96,7 +97,7 @@ def position_errors(found: np.ndarray, truth: np.ndarray, length: float = LENGTH
 
 
 def particle_filter(
-    process_noise_pi: Any, length: float = LENGTH, sigma_mt: float = SIGMA_MT, **how: Any
+    process_noise_pi: ArrayLike, length: float = LENGTH, sigma_mt: float = SIGMA_MT, **how: str | int
 ) -> ParticleFilter:
     """Return the filter of section II, with whatever is changed; several process noises [pi rad] are a batch."""
     width = np.pi * np.asarray(process_noise_pi, dtype=float)[..., None] * np.ones(2)
@@ -123,7 +124,7 @@ class Setting:
     how: tuple[str, ...] = ("best tenth", "multinomial", "random walk")
     """Estimate, resampling and motion of a particle filter, or the name of another method."""
 
-    def method(self, batch: int = 1) -> Any:
+    def method(self, batch: int = 1) -> LevenbergMarquardt | KalmanFilter | ParticleFilter:
         """Return the estimator."""
         bound = np.full(2, LARGEST_BEND)
         if self.how == ("least squares",):
@@ -206,7 +207,7 @@ def study(seeds: Sequence[int] = STUDY_SEEDS) -> list[tuple[Setting, int]]:
     return tasks + [(replace(PRINTED, name="count", particles=n), seed) for n in counts for seed in few]
 
 
-def study_rows(setting: Setting, seed: int) -> list[tuple[Any, ...]]:
+def study_rows(setting: Setting, seed: int) -> list[tuple[str | float, ...]]:
     """Return the errors of one run of the study, a row for each curve."""
     rmse = np.sqrt((follow(setting, seed) ** 2).mean(axis=0))
     run = (setting.name, setting.process_noise_pi, setting.particles)
@@ -216,7 +217,9 @@ def study_rows(setting: Setting, seed: int) -> list[tuple[Any, ...]]:
 STUDY_COLUMNS = ["setting", "process_noise_pi", "particles", "curve", "seed", "rmse_mm"]
 
 
-def law_mm(process_noise_pi: Any, particles: Any = 1000, length: float = LENGTH) -> Any:
+def law_mm(
+    process_noise_pi: np.ndarray | float, particles: np.ndarray | float = 1000, length: float = LENGTH
+) -> np.ndarray:
     """Return the error [mm] of the best tenth of a cloud much wider than the likelihood, near the straight arc."""
     width = process_noise_pi * math.pi * 1e3 * length / 2
     return math.sqrt(math.log(10 / 9)) * width / np.sqrt(particles / 10)
@@ -317,8 +320,6 @@ UPDATES = "ParticleFilter, N = 1000 [updates/s]"
 # Bend tests and light bulb, section IV: what is in the files
 
 FOLDER = "mitchell2021"
-RECORDED_LENGTH = 13e-3
-"""Length of the arc in the released code for recorded data [m]."""
 MT_PER_UNIT, LARGEST_UNIT = 10.0, 8.192
 """Unit of the files: 1000 steps of 0.01 mT; the components have 14 bits with sign."""
 MODEL_FROM_FILE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
@@ -585,7 +586,7 @@ class NominalBends(NamedTuple):
     rest: complex
     """The ratio at rest."""
 
-    def of(self, chosen: Any) -> NominalBends:
+    def of(self, chosen: np.ndarray) -> NominalBends:
         """Return some of the files."""
         return NominalBends(*(x[chosen] for x in self[:4]), self.rest)
 
@@ -646,7 +647,7 @@ def nominal_length_mm(bends: NominalBends, length_mm: float) -> float:
 
 
 def nominal_errors(
-    bends: NominalBends, calibrate: Callable[..., complex], invert: Callable[..., Any]
+    bends: NominalBends, calibrate: Callable[..., complex], invert: Callable[..., Sequence[np.ndarray]]
 ) -> pd.DataFrame:
     """Return what nominal bends calibrate, how well, and how well they repeat: of all, and of each direction alone.
 
@@ -747,7 +748,7 @@ def side_by_side(readings: Sequence[np.ndarray]) -> np.ndarray:
 
 def calibrations(
     take: Take, takes: Sequence[Take], bends: NominalBends | None = None
-) -> dict[str, list[Any]]:
+) -> dict[str, list[Take | NominalBends]]:
     """Return what may calibrate a take, by name: other takes, and nominal bends; it is never among them."""
     same = [other for other in takes if other.test == take.test and other is not take]
     others = [other for other in takes if other.test != take.test]

@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -40,7 +40,7 @@ from repro import (
 )
 from repro.chain import place
 from repro.common import bad_input, require
-from repro.networks import load_network
+from repro.networks import Network, load_network
 from repro.sensing import relations
 from repro_board.lag import search_lag
 from repro_companion.papers.fetch import states
@@ -422,11 +422,11 @@ def _way_points(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _spiral(t: np.ndarray) -> np.ndarray:
     """Archimedean spiral from zero to the reach, at constant speed."""
 
-    def arc(angle: Any, end: float) -> Any:
+    def arc(angle: np.ndarray | float, end: float) -> np.ndarray:
         return REACH_NM / (2 * end) * (angle * np.sqrt(1 + angle**2) + np.arcsinh(angle))
 
     length = SPEED_NM_PER_S["T4"] * DURATION_S["T4"]
-    end: Any = brentq(lambda x: arc(x, x) - length, 1e-3, 1e6)
+    end = brentq(lambda x: arc(x, x) - length, 1e-3, 1e6)
     angles = np.linspace(0.0, end, 20_001)
     angle = np.interp(SPEED_NM_PER_S["T4"] * t, arc(angles, end), angles)
     return (REACH_NM * angle / end)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -672,7 +672,7 @@ def _first_of_test(recording: Recording) -> int:
     return math.ceil((len(recording) - 1) * (1 - TEST_SHARE))
 
 
-def networks(data: Data, seed: int) -> list[Any]:
+def networks(data: Data, seed: int) -> list[Network]:
     """Return the networks of the three sensors, trained on T5.train.
 
     Those for the simulated rig are in data/networks. For other recordings ``scripts/train.py`` trains them, a minute
@@ -721,7 +721,7 @@ class RigNetwork:
         return f"rig_sensor{self.sensor + 1}_seed{self.seed}"
 
     @property
-    def origin(self) -> dict[str, Any]:
+    def origin(self) -> dict[str, str | int]:
         """What a manifest says of the recording: its name, its seed, and the hash of the rig's parameters."""
         parameters = hashlib.sha256(json.dumps(vars(RIG), sort_keys=True).encode()).hexdigest()
         return {"recording": "synthetic_T5_train", "recording_seed": 0, "twin_sha256": parameters}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -158,7 +158,7 @@ def drifts(believed: float = 1.0) -> list[Drift]:
 def kalman_filter(wander: Sequence[Drift]) -> KalmanFilter:
     """Return a filter of the robot; if nothing wanders, the sway of the IMUs counts as white noise."""
     arm, (low, high) = robot(), baaij.bounds(3)
-    sensing: Any = Drifting(arm.sensing(), wander) if wander else arm.sensing()
+    sensing = Drifting(arm.sensing(), wander) if wander else arm.sensing()
     noise = np.repeat([baaij.NOISE_MT, IMU_NOISE if wander else SWAY], 9)
     return KalmanFilter(sensing, low, high, noise, 0.6 * (high - low), 0.5 * (high - low))
 
