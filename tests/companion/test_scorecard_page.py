@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 
 from repro_companion import scorecard_page as page
-from repro_companion.papers.fetch import read_sources
 from repro_companion.scorecard import WITH_FILES, beside, kinds, scorecard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,16 +204,6 @@ def test_every_count_leads_to_the_rows_that_it_counts(card, state, written):
     assert found == {"verdict": len(card), "files": second}
 
 
-def test_in_words_where_files_are_not_here(card, state, written):
-    """Instead of a second line of counts; Mitchell et al. need none."""
-    text = written["counts.md"]
-    waiting = re.findall("^.venv/bin/repro fetch (.+)$", text, re.MULTILINE)
-    assert waiting == (["baaij2023", "martin2022"] if state is card else ["baaij2023"])
-    lines = re.findall(r"^\| (Mit.*?|Mar.*?) \|", text, re.MULTILINE)
-    first = ["Mitchell et al. (2021)", "Martin et al. (2022), without their files"]
-    assert lines == (first if state is card else [*first, "Martin et al. (2022), with them"])
-
-
 def test_a_column_has_the_numbers_with_the_authors_files(card, state, written):
     """Only a table with such a number has it; the numbers without the files stay where they were."""
     for artefact in ("Table II", "Fig. 3"):
@@ -226,14 +215,6 @@ def test_a_column_has_the_numbers_with_the_authors_files(card, state, written):
         assert [cell.partition("\N{NO-BREAK SPACE}")[0] for cell in cells[4:]] == ["99.0 ± 1.00"] * known
         row = re.search(rf">{artefact}</a>.*?</tr>", written["index.md"])[0]
         assert ("with the authors' files: " in row) == known
-
-
-def test_the_commands_page_has_all_files(written):
-    sources = read_sources(ROOT / "data/sources.json")
-    assert sum(map(int, re.findall(r"\| (\d+) files?, ", written["files.md"]))) == len(sources)
-    assert (
-        written["files.md"].count('<a href="notebooks/table_2.html"><code>table_2</code></a> | 6 files') == 2
-    )
 
 
 def test_every_row_has_an_address_and_no_name_of_a_file(written):
