@@ -201,7 +201,7 @@ def page_of(executed: Record, root: Path, name: str) -> Record:
     texts = record and (
         _numbers(record, root, name),
         _parameters(parameters, record, name),
-        _provenance(record, name),
+        rendered("fold_provenance.md", record=record, name=name),
     )
     folds = [
         {"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text}
@@ -232,11 +232,6 @@ def _parameters(parameters: Mapping[str, Parameter], record: Record, name: str) 
     value = "true" if example.kind == "bool" else example.default.strip("\"'")
     chosen = f"{example.name} {shlex.quote(value)}"
     return rendered("fold_parameters.md", parameters=parameters.values(), here=here, name=name, chosen=chosen)
-
-
-def _provenance(record: Record, name: str) -> str:
-    """Return the fold that says what the page was made from."""
-    return rendered("fold_provenance.md", record=record, name=name)
 
 
 # The site

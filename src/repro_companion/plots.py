@@ -68,6 +68,8 @@ GREY_INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
 )
 """Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
+NO_GRID, LEVELS = {"axes.grid": False}, {"axes.grid.axis": "y"}
+"""Grids of figures that are no curves: none, or lines of the same height."""
 
 
 def use_style() -> None:
@@ -77,7 +79,7 @@ def use_style() -> None:
 
 
 @contextmanager
-def style(**more: str) -> Iterator[None]:
+def style(**more: str | bool) -> Iterator[None]:
     """Draw one figure in the book's style, for a notebook to show once, as the result of its cell; a decorator."""
     with mpl.rc_context():
         use_style()
@@ -233,7 +235,7 @@ def body_colours(n: int) -> list[np.ndarray]:
     return list(LinearSegmentedColormap.from_list("body", BODY)(np.linspace(0, 1, max(n, 2)))[:n])
 
 
-@style(**GREY_INK)
+@style(**GREY_INK, **NO_GRID)
 def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
     """Draw Fig. 4(a): the field of all magnets in the x-z plane around the robot."""
     grid = field.pivot(index="z_mm", columns="x_mm", values=["b_x_mT", "b_z_mT"])
@@ -241,7 +243,6 @@ def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFr
     x, z = (np.linspace(i[0], i[-1], len(i)) for i in (grid["b_x_mT"].columns, grid.index))
     b_x, b_z = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
     figure, panel = plt.subplots(figsize=(4.3, 5.4))
-    panel.grid(visible=False)
     size = np.hypot(b_x, b_z)
     image = panel.pcolormesh(x, z, size, norm=LogNorm(1e-2, 100), shading="gouraud", cmap="cividis")
     panel.streamplot(x, z, b_x, b_z, color=(1, 1, 1, 0.55), linewidth=0.7, density=1.4, arrowsize=0.7)
@@ -280,14 +281,13 @@ def _cut(centres: np.ndarray, axes: np.ndarray, ring: Ring) -> list[Polygon]:
     ]
 
 
-@style()
+@style(**NO_GRID)
 def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
     """Draw Fig. 2(a) to scale: distance and angles between the first sensor and the magnet of its segment."""
     (p_m, o_m), (p_s, o_s) = ([x[0] for x in _in_plane(parts, part)] for part in ("magnet", "sensor"))
     p = p_s - p_m
     line = backbone[["x_mm", "z_mm"]].to_numpy()
     figure, panel = plt.subplots(figsize=(5.2, 4.6))
-    panel.grid(visible=False)
     tangent = np.gradient(line, axis=0)
     side = 22 * np.stack([tangent[:, 1], -tangent[:, 0]], 1) / np.linalg.norm(tangent, axis=1)[:, None]
     panel.add_patch(Polygon(np.concatenate([line + side, (line - side)[::-1]]), fc="#767676", alpha=0.13))
@@ -536,7 +536,7 @@ def with_spread(mean: float, std: float, places: int) -> str:
     return f"{mean:.{places}f}{spread}" if np.isfinite(mean) else "–"
 
 
-@style()
+@style(**NO_GRID)
 def rig_to_scale(robot: Robot, markers_at: float) -> Figure:
     """Draw Fig. 8 as a section and from above, to scale [mm]: body, chambers, ring, sensors and markers."""
     figure, (side, top) = plt.subplots(1, 2, figsize=(WIDTH, 4.0), width_ratios=(1.15, 1))
@@ -565,8 +565,6 @@ def rig_to_scale(robot: Robot, markers_at: float) -> Figure:
     to_scale(side, (-radius - 6, radius + 6), (-4, length + 8), every_mm=20, title="cut along x")
     reach = (-radius - 2, radius + 2)
     to_scale(top, reach, reach, every_mm=20, ylabel="y [mm]", title="from the tip")
-    for panel in (side, top):
-        panel.grid(visible=False)
     return figure
 
 
@@ -576,8 +574,10 @@ def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Axes]]:
     figure.subplots_adjust(0, 0.03, 0.94, 0.9, 0.02, 0.08)
     for k, title in enumerate(titles):
         panel = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False, elev=20, azim=-55)
-        panel.set(xlim=(-25, 25), ylim=(-25, 25), zlim=(0, 120))
-        panel.set(xticks=(-20, 0, 20), yticks=(0, 20), zticks=(0, 50, 100))  # -20 would lie on the 20 of x
+        panel.set(
+            xlim=(-25, 25), ylim=(-25, 25), zlim=(0, 120), zticks=(0, 50, 100),
+            xticks=(-20, 0, 20), yticks=(0, 20),  # -20 would lie on the 20 of x
+        )  # fmt: skip
         for name, pad in (("x", -4), ("y", -4), ("z", 0)):
             panel.tick_params(name, pad=pad)
             words = f"{name} [mm]" if name != "z" or k % 3 == 2 else ""  # no room between the panels
@@ -655,8 +655,10 @@ def _landscape(panel: Axes, grid: pd.DataFrame, paths: list[pd.DataFrame], truth
     drawn = {"half the step": bends[-1], "descent": bends[0], "start": bends[0][0], "truth": truth}
     for name, points in (drawn | {"estimate": best}).items():
         panel.plot(*points.T, **MAP[name])
-    panel.set(xlim=table.columns[[0, -1]], ylim=table.index[[0, -1]])
-    panel.set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
+    panel.set(
+        xlabel=r"$\Delta_x$ [mm]", xlim=table.columns[[0, -1]],
+        ylabel=r"$\Delta_y$ [mm]", ylim=table.index[[0, -1]],
+    )  # fmt: skip
     panel.grid(visible=False)
 
 
@@ -735,7 +737,7 @@ def bend_tests(table: pd.DataFrame) -> Figure:
     return with_legend(figure, lines, columns=2)
 
 
-@style()
+@style(**LEVELS)
 def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of bend and direction by take, a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
@@ -751,7 +753,6 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     panels[1].set(ylabel="direction: RMSE [°]", ylim=(0, None), xlabel="test and try")
     panels[1].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
     for panel in panels:
-        panel.grid(visible=False, axis="x")
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
     return with_legend(figure, columns=2)
@@ -800,7 +801,7 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> 
 CURVE_LOOKS = {"spiral": (BLUE, "o"), "flower": (ORANGE, "s"), "seagull": (GREEN, "D")}
 
 
-@style()
+@style(**NO_GRID)
 def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
     """Draw Figs 3 and 4: the disc of bends [deg] with a cloud of particles, and with each curve."""
     figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 5.6), sharex=True, sharey=True)
@@ -812,7 +813,6 @@ def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
         panel.plot(part["x_deg"], part["y_deg"], lw=1, color=CURVE_LOOKS[str(name)][0])
         panel.set_title(str(name).capitalize())
     for panel in panels.flat:
-        panel.grid(visible=False)
         for radius in (30, 60, 90):
             panel.add_patch(Circle((0, 0), radius, fill=False, lw=1.2 if radius == 90 else 0.5, color="0.6"))
         panel.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95), xticks=(-90, 0, 90), yticks=(-90, 0, 90))
@@ -910,7 +910,7 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, words: str
     return HTML(rendered("table_ii.html", models=models, rows=rows, badge=badge, words=words))
 
 
-@style()
+@style(**LEVELS)
 def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figure:
     """Draw Figs 3 to 5: boxes of the markers' errors [mm] with published medians and third quartiles."""
     groups = {
@@ -929,7 +929,6 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
             title=f"{name}:\n{model}", xlabel=label, ylim=(0, None),
             xticks=range(len(steps)), xticklabels=steps,
         )  # fmt: skip
-        panel.grid(visible=False, axis="x")
     lines = [
         *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
         Line2D([], [], color="#1A1A1A", marker="D", mec="white", ls="", label="published median"),
@@ -1011,7 +1010,7 @@ ARM_LOOKS = {
 }
 
 
-@style()
+@style(**LEVELS)
 def real_arm_errors(errors: pd.DataFrame) -> Figure:
     """Draw mean errors [mm] by trial as bars, raw readings above calibrated ones."""
     names = list(errors["trial"].unique())
@@ -1021,7 +1020,6 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
             own = part[part["estimator"] == estimator].set_index("trial")["rmse_mm"].reindex(names)
             panel.bar(np.arange(len(names)) + 0.17 * (k - 2), own, 0.16, color=colour, label=label)
         panel.set(ylabel="error [mm]", title=f"{setting} readings")
-        panel.grid(visible=False, axis="x")
     panels[1].set_xticks(range(len(names)), names)
     return with_legend(figure, panels[0], columns=3)
 
@@ -1097,7 +1095,7 @@ def noise_study(table: pd.DataFrame) -> Figure:
     return with_legend(figure, panels[0, 0])
 
 
-@style(**GREY_INK)
+@style(**GREY_INK, **NO_GRID)
 def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -> Figure:
     """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
     columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
@@ -1111,7 +1109,6 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
         for marker, (name, place) in zip("so^", marked.items(), strict=False):
             panel.plot(*place, marker=marker, mfc="white", mec="black", ms=9, ls="none", label=name)
         panel.set(title=title, xlabel="radius [mm]")
-        panel.grid(visible=False)
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -1193,7 +1190,7 @@ SEGMENT_LOOKS = {
 }
 
 
-@style()
+@style(**LEVELS)
 def segment_errors(means: pd.DataFrame) -> Figure:
     """Draw mean tip errors [mm] by trajectory and method with their intervals: filled if calibrated, else open."""
     names = list(means["trajectory"].unique())
@@ -1213,7 +1210,6 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
-    panel.grid(visible=False, axis="x")
     grey: Look = {"color": "#767676", "marker": "o", "ls": ""}
     more = [
         Line2D([], [], label="calibrated", **grey),

@@ -145,8 +145,8 @@ def listing(sources: Sequence[Source], folder: Path) -> str:
         origin = f"github.com/{files[0].repository} at {files[0].commit[:7]}"
         here = sum(source.is_at(folder / source.name) for source in files)
         lines.append(f"{paper}: {amount(files)}, {here} here; from {origin}")
-        for (page, use), group in groupby(files, lambda source: (source.page, source.use)):
-            lines.append(f"  {page or 'a study'}: {amount(group)}: {use}")
+        uses = groupby(files, lambda source: (source.page, source.use))
+        lines += [f"  {page or 'a study'}: {amount(group)}: {use}" for (page, use), group in uses]
     return "\n".join(lines)
 
 

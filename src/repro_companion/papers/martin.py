@@ -392,8 +392,8 @@ def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.Da
     parts = []
     for part in ("all", *dict.fromkeys(mode.tolist())):
         median, q3 = np.percentile(error[(mode == part) | (part == "all")], [50, 75], axis=0)
-        columns = {"mode": part, "arc_mm": 1e3 * np.array([*arcs]), "median_mm": median, "q75_mm": q3}
-        parts.append(pd.DataFrame(columns))
+        places = {"mode": part, "arc_mm": 1e3 * np.array([*arcs])}
+        parts.append(pd.DataFrame(places | {"median_mm": median, "q75_mm": q3}))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -618,9 +618,9 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
         index="draw", columns=["method", "mode", "point"], values="median_mm", sort=False
     )
     lines = []
-    for method, *where in medians:
-        ours, base = (medians[name, *where].to_numpy() for name in (method, BASELINE))
-        interval = ratio_interval(ours, base, 2000)
-        lines.append((method, *where, ours.mean(), ours.mean() / base.mean(), *interval, len(ours)))
-    columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
-    return pd.DataFrame(lines, columns=columns)
+    for method, mode, point in medians:
+        ours, base = (medians[name, mode, point].to_numpy() for name in (method, BASELINE))
+        low, high = ratio_interval(ours, base, 2000)
+        ratio = {"ratio": ours.mean() / base.mean(), "ratio_low": low, "ratio_high": high, "draws": len(ours)}
+        lines.append({"method": method, "mode": mode, "point": point, "median_mm": ours.mean()} | ratio)
+    return pd.DataFrame(lines)

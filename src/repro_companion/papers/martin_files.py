@@ -344,10 +344,17 @@ def compared(tables: dict[str, np.ndarray], q: np.ndarray, source: str) -> pd.Da
             chain.arm.sub_segments
         )
         off = np.linalg.norm(made[i] - points[j], axis=-1)[~tied]
-        size = (1e6 * np.median(off), 1e6 * off.max(), 100 * (off <= SAME_M).mean())
-        lines.append((name, len(off), later, int(tied.sum()), *size, source))
-    columns = ["file", "rows", "later", "half_turns", "median_um", "largest_um", "same_percent", "source"]
-    return pd.DataFrame(lines, columns=columns)
+        lines.append({
+            "file": name,
+            "rows": len(off),
+            "later": later,
+            "half_turns": int(tied.sum()),
+            "median_um": 1e6 * np.median(off),
+            "largest_um": 1e6 * off.max(),
+            "same_percent": 100 * (off <= SAME_M).mean(),
+            "source": source,
+        })  # fmt: skip
+    return pd.DataFrame(lines)
 
 
 def tables_compared(synthetic: Trial) -> pd.DataFrame:

@@ -268,10 +268,9 @@ def fixed_coordinates(seen: Readings) -> np.ndarray:
 
 def orientations(known: Known, seen: Readings) -> tuple[Rotation, Rotation]:
     """Return how base and tip are turned: the base upright without its IMU, the tip as the base without the other."""
-    ends, missing = [], np.isnan(seen.imus).any(axis=(0, 2))
-    for k in range(2):
-        reading = Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5))
-        ends.append(known.world[k].inv() * reading * known.mounting[k].inv())
+    missing = np.isnan(seen.imus).any(axis=(0, 2))
+    imus = [Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5)) for k in range(2)]
+    ends = [known.world[k].inv() * imu * known.mounting[k].inv() for k, imu in enumerate(imus)]
     base = Rotation.identity(len(seen.imus)) if missing[0] else ends[0]
     return base, base if missing[1] else ends[1]
 

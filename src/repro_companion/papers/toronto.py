@@ -413,9 +413,15 @@ def floors(
         across = np.hypot(x, y)
         turn = (np.arctan2(across, z) / across)[..., None] * np.stack([-y, x, 0 * z], axis=-1)
         T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
-        for (model, robot), (given, seen) in product(shape_models().items(), SEEN.items()):
-            error = float(unseen_error(robot, T, list(seen)))
-            rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
+        rows += [
+            {
+                "trial": name,
+                "model": model,
+                "given": given,
+                "error_mm": float(unseen_error(robot, T, [*seen])),
+            }
+            for (model, robot), (given, seen) in product(shape_models().items(), SEEN.items())
+        ]
     return pd.DataFrame(rows)
 
 
