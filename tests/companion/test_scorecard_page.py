@@ -90,7 +90,6 @@ def test_every_number_of_the_papers_is_listed(paper):
 
 
 def test_the_index_has_one_row_for_everything_and_known_words():
-    assert len(INDEX) == 91
     assert not INDEX.duplicated(["paper", "kind", "artefact"]).any()
     assert set(INDEX["kind"]) == {"table", "figure", *page.FOLDED}
     assert set(INDEX["status"]) <= {"regenerated", "redrawn", "implemented", "not reproduced"}
@@ -129,17 +128,6 @@ def test_every_entry_is_a_row_that_leads_to_its_place(written):
     there = INDEX["page"] + ".html" + ("#" + INDEX["anchor"]).str.rstrip("#")
     assert sorted(links) == sorted(zip(there, INDEX["artefact"], strict=True))
     assert not re.search(r"\n\n(?!<|#)", text.rstrip()), "an empty line ends a block of HTML"
-
-
-def test_a_paper_of_sections_alone_has_its_heading(card):
-    """Its fold stands below its own name, not below the paper before."""
-    entries = INDEX.assign(name=INDEX["paper"].replace(page.PAPERS), place="p.html", real=False)
-    entries = entries[(entries["paper"] != "mitchell2021") | (entries["kind"] == "section")]
-    titles = dict.fromkeys(entries["page"], "Page")
-    text = page.index_page(entries, titles, beside(card, card).assign(kind=kinds(card)))
-    assert re.findall(r"^### (.+)$", text, re.MULTILINE) == list(page.PAPERS.values())
-    own = text.partition(f"### {page.PAPERS['mitchell2021']}")[2].partition("###")[0]
-    assert "<summary>Numbers in the text</summary>" in own
 
 
 def test_the_finder_leads_to_what_is_there(written):
