@@ -31,9 +31,11 @@ REAL = "With the authors' files"
 """Heading of what was computed with these files; only tables with such a number have the column."""
 CAPTION = {"Setting": "setting", "Setting with files": "with_files_setting", "Our method": "best_method"}
 """What the caption of a table of rows says, by its heading."""
-NETWORK_COLUMNS = ["row", "quantity", "unit", "error"]
-NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
-"""Columns of studies of Tables 2 and 1 that the home page needs; another project may not have them."""
+STUDIES = {
+    "table_1_noise": ["row", "noise_mt", "method", "error_percent"],
+    "table_2_networks": ["row", "quantity", "unit", "error"],
+}
+"""Studies that the home page needs, with the columns that it reads; another project may not have them."""
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -77,10 +79,11 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
         real=found & index["note"].str.contains("recordings where they are found"),
     )
     titles = {page: title(root, page) for page in index["page"].unique()}
-    study = root / "data" / "studies" / "table_1_noise.csv"
-    noise = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NOISE_COLUMNS)
-    study = root / "data" / "studies" / "table_2_networks.csv"
-    networks = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NETWORK_COLUMNS)
+    stored = {root / "data" / "studies" / f"{name}.csv": columns for name, columns in STUDIES.items()}
+    noise, networks = (
+        pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=columns)
+        for path, columns in stored.items()
+    )
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     texts = {
         "index.md": index_page(index, titles, card),
