@@ -604,7 +604,7 @@ def drift_by_minute(seed: int) -> pd.DataFrame:
     found["oracle"] = wandering.follow(wandering.kalman_filter([wandering.SWAYING]), undrifted)
     parts = [wandering.by_minute(run, x).assign(method=name) for name, x in found.items()]
     table = pd.concat(parts, ignore_index=True).assign(twin=seed)
-    return table[["twin", "method", *table.columns[:-2]]]
+    return table.reindex(columns=["twin", "method", *table.columns[:-2]])
 
 
 def drift() -> pd.DataFrame:
