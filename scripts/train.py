@@ -18,10 +18,11 @@ import cyclopts
 import numpy as np
 import torch
 from training import save_network, train_fast, train_paper
+from training_sets import DATA_SEED, SAMPLES, SegmentNetwork, trained_networks
 
 from repro.common import Array
 from repro_companion.papers import rig
-from repro_companion.papers.baaij import DATA_SEED, SAMPLES, SEEDS, SegmentNetwork, trained_networks
+from repro_companion.papers.baaij import SEEDS
 
 ROOT = Path(__file__).resolve().parents[1]
 SPLIT = (

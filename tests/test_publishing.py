@@ -13,7 +13,6 @@ ROOT = Path(__file__).resolve().parents[1]
 TO_FILL_IN = ("pyproject.toml",)
 """Where the word OWNER stands for who publishes this."""
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.stem != "config")
 
 
 def test_the_owner_is_named_everywhere_or_nowhere():
@@ -39,22 +38,3 @@ def test_a_workflow_has_what_it_needs_and_calls_the_front_door(path):
         for step in job["steps"]:
             assert ("run" in step) != ("uses" in step)
             assert re.fullmatch(r"actions/[a-z-]+@v\d+", step.get("uses", "actions/a@v1"))
-
-
-def test_there_are_workflows_and_forms():
-    assert [path.stem for path in WORKFLOWS] == ["ci", "pages"]
-    assert [path.stem for path in FORMS] == ["add_a_paper", "number_differs"]
-
-
-@pytest.mark.parametrize("path", FORMS, ids=lambda path: path.stem)
-def test_a_form_can_be_filled_in(path):
-    form = yaml.safe_load(path.read_text())
-    assert form["name"]
-    assert form["description"]
-    ids = [field["id"] for field in form["body"]]
-    assert len(set(ids)) == len(ids)
-    for field in form["body"]:
-        assert field["type"] in ("input", "textarea", "checkboxes")
-        assert field["attributes"]["label"]
-    for named in re.findall(r"`(book/[\w./]+)`", path.read_text()):
-        assert (ROOT / named).is_file()

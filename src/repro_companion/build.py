@@ -18,15 +18,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from repro_companion import run as tool
 from repro_companion.kernels import compile_kernels
-from repro_companion.run import InputError, Parameter, Point, RunFailed
-from repro_companion.show import rendered
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from repro_companion.run import InputError, Parameter, Point, Record, RunFailed
+from repro_companion.scorecard import beside, scorecard, write
+from repro_companion.scorecard_page import write_pages
+from repro_companion.show import rendered, show
 
 LONGEST = 60
 """Rows of a table that a page shows in full; of a longer one it has the file."""
@@ -49,8 +49,6 @@ def alone(root: Path) -> Iterator[None]:
 
 def build(root: Path, jobs: int) -> str:
     """Build the book; return what was done, in a sentence."""
-    from repro_companion.scorecard_page import write_pages
-
     executed, results = root / "book" / "notebooks", results_folder(root)
     notebooks = {path.stem: path for path in sorted((root / "notebooks").glob("*.ipynb"))}
     for leftover in executed.glob("*"):
@@ -152,13 +150,11 @@ def keep_told_apart(executed: Path, results: Path, notebooks: Iterable[str]) -> 
             table.unlink()
 
 
-def write_scorecard(root: Path, results: Path) -> tuple[DataFrame, DataFrame, DataFrame]:
+def write_scorecard(root: Path, results: Path) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Compare the tables with every printed number; return what was written, and both states that the site shows.
 
     The state without the authors' files is always that of ``results/``, whose tables are committed.
     """
-    from repro_companion.scorecard import beside, scorecard, write
-
     results.mkdir(parents=True, exist_ok=True)
     folders = results, root / "results", root / "data" / "studies"
     here, without, studies = (sorted(folder.glob("*.rows.csv")) for folder in folders)
@@ -172,7 +168,7 @@ def write_scorecard(root: Path, results: Path) -> tuple[DataFrame, DataFrame, Da
 # The page of a notebook
 
 
-def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
+def page_of(executed: Record, root: Path, name: str) -> Record:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
     record = tool.read_record(place)
@@ -205,7 +201,7 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     texts = record and (
         _numbers(record, root, name),
         _parameters(parameters, record, name),
-        _provenance(record, name),
+        rendered("fold_provenance.md", record=record, name=name),
     )
     folds = [
         {"cell_type": "markdown", "id": f"fold-{number}", "metadata": {}, "source": text}
@@ -217,12 +213,8 @@ def page_of(executed: dict[str, Any], root: Path, name: str) -> dict[str, Any]:
     return {**executed, "cells": [*cells[:1], *first, *claims, *cells[1:], *folds]}
 
 
-def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
+def _numbers(record: Record, root: Path, name: str) -> str:
     """Return the fold with all tables of a page, each with its file."""
-    import pandas as pd
-
-    from repro_companion.show import show
-
     results, page, tables = results_folder(root), root / "book" / "notebooks", []
     for file in record["results"]:
         table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])
@@ -232,7 +224,7 @@ def _numbers(record: Mapping[str, Any], root: Path, name: str) -> str:
     return rendered("fold_numbers.md", tables=tables) if tables else ""
 
 
-def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], name: str) -> str:
+def _parameters(parameters: Mapping[str, Parameter], record: Record, name: str) -> str:
     """Return the fold with the parameters and the command that repeats the page with others."""
     if not parameters:
         return ""
@@ -243,11 +235,6 @@ def _parameters(parameters: Mapping[str, Parameter], record: Mapping[str, Any], 
     value = "true" if example.kind == "bool" else example.default.strip("\"'")
     chosen = f"{example.name} {shlex.quote(value)}"
     return rendered("fold_parameters.md", parameters=parameters.values(), here=here, name=name, chosen=chosen)
-
-
-def _provenance(record: Mapping[str, Any], name: str) -> str:
-    """Return the fold that says what the page was made from."""
-    return rendered("fold_provenance.md", record=record, name=name)
 
 
 # The site

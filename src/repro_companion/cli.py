@@ -12,6 +12,8 @@ from cyclopts import Parameter
 
 from repro_board.cli import BOOK, EXTRAS, Output, app, pairs, says_extras
 from repro_board.cli import main as run_command
+from repro_companion import run as tool
+from repro_companion.papers import fetch as files
 
 NEEDS = {
     "record": ["board"],
@@ -46,8 +48,6 @@ def run(
     versions
         Run nothing; print the versions of what computes.
     """
-    from repro_companion import run as tool
-
     if versions:
         lines = [f"{name} {version}" for name, version in tool.versions().items()]
         print(*lines, f"Recordings: {tool.recordings_folder()}", sep="\n")
@@ -102,8 +102,6 @@ def sweep(
     output
         Folder of the runs and of the tables that join theirs; by default runs/NAME-sweep.
     """
-    from repro_companion import run as tool
-
     root = tool.project_folder()
     tool.require(jobs >= 0, "jobs", "repro sweep", "at least 1", jobs)
     grid = tool.grid_of(tool.declared(notebook), parameters or [], notebook.name)
@@ -129,8 +127,6 @@ def scorecard(*, require: Path | None = None, write_reference: Path | None = Non
     write_reference
         Write today's verdicts as a reference to this file.
     """
-    from repro_companion import run as tool
-
     root = tool.project_folder()
     from repro_companion import scorecard as card
     from repro_companion.build import results_folder, write_scorecard
@@ -205,9 +201,6 @@ def fetch(
         Download nothing; print what there is, which page reads it and for what, how much of it is here, and where
         it comes from.
     """
-    from repro_companion import run as tool
-    from repro_companion.papers import fetch as files
-
     sources = files.read_sources(tool.project_folder() / "data" / "sources.json", paper, page)
     folder = tool.recordings_folder()
     if list_only:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from cycler import cycler
 from IPython.display import HTML
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import PatchCollection
@@ -21,9 +22,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Circle, Polygon
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
+from matplotlib.typing import LineStyleType
 
-from repro import Ring
+from repro import Ring, Robot
 from repro_companion import scorecard_page
+from repro_companion.papers.baaij import Row
 from repro_companion.show import rendered
 
 WIDTH = 5.5
@@ -34,7 +37,9 @@ PUBLISHED, OURS, BEST = "#767676", BLUE, ORANGE
 TRUTH = {"color": "#767676", "lw": 4.0, "alpha": 0.55, "solid_capstyle": "round"}
 """Look of the truth where an estimate lies on it: wide and pale."""
 
-STYLE: Any = {
+Look = Mapping[str, Any]
+"""How something is drawn: options of matplotlib."""
+STYLE: Look = {
     "figure.facecolor": "none",  # a page shows its own ground, and inverts figures in dark mode
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
@@ -63,6 +68,8 @@ GREY_INK = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), "#767676"
 )
 """Letters of a figure that is not inverted in dark mode: they are read on both grounds."""
+NO_GRID, LEVELS = {"axes.grid": False}, {"axes.grid.axis": "y"}
+"""Grids of figures that are no curves: none, or lines of the same height."""
 
 
 def use_style() -> None:
@@ -72,42 +79,40 @@ def use_style() -> None:
 
 
 @contextmanager
-def style() -> Iterator[None]:
-    """Draw in the book's style, whatever the reader's matplotlibrc says; also a decorator."""
+def style(**more: str | bool) -> Iterator[None]:
+    """Draw one figure in the book's style, for a notebook to show once, as the result of its cell; a decorator."""
     with mpl.rc_context():
         use_style()
+        mpl.rcParams.update(more)
         yield
+    plt.close()
 
 
 BESIDE = {"handlelength": 1.0, "handletextpad": 0.4, "columnspacing": 0.9, "labelspacing": 0.3}
 """Spaces of a legend that has little room."""
 
 
-def closed(figure: Figure) -> Figure:
-    """Return a figure that a notebook shows once, as the result of its cell."""
-    plt.close(figure)
-    return figure
-
-
-def row_of_panels(count: int, height: float, ylabel: str, **grid: Any) -> tuple[Figure, Any]:
+def row_of_panels(count: int, height: float, ylabel: str, **grid: object) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure and its panels side by side; the label of the vertical axis stands once."""
     figure, (panels,) = plt.subplots(1, count, figsize=(WIDTH, height), squeeze=False, **grid)
     panels[0].set_ylabel(ylabel)
     return figure, panels
 
 
-def column_of_panels(count: int, height: float, xlabel: str, **grid: Any) -> tuple[Figure, Any]:
+def column_of_panels(count: int, height: float, xlabel: str, **grid: object) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure and its panels below each other, with one horizontal axis whose label stands once."""
     figure, panels = plt.subplots(count, 1, figsize=(WIDTH, height), squeeze=False, sharex=True, **grid)
     panels[-1, 0].set_xlabel(xlabel)
     return figure, panels[:, 0]
 
 
-def with_legend(figure: Figure, of: Any = None, columns: int = 2, **look: Any) -> Figure:
+def with_legend(
+    figure: Figure, of: Axes | Sequence[Artist] | None = None, columns: int = 2, **look: object
+) -> Figure:
     """Return a figure for its cell with a legend above all panels: of one panel, of some lines, or of everything."""
     lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else of
     figure.legend(handles=lines, ncols=columns, **({"loc": "outside upper center"} | BESIDE | look))
-    return closed(figure)
+    return figure
 
 
 def plain_numbers(*axes: Axis) -> None:
@@ -117,9 +122,9 @@ def plain_numbers(*axes: Axis) -> None:
         axis.set_minor_formatter("")
 
 
-def to_scale(panel: Axes, x: Sequence[float], z: Sequence[float], every_mm: float) -> None:
+def to_scale(panel: Axes, x: Sequence[float], z: Sequence[float], every_mm: float, **more: str) -> None:
     """Give a panel the same scale [mm] along x and z, with even ticks."""
-    panel.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", xlim=x, ylim=z)
+    panel.set(**({"xlabel": "x [mm]", "ylabel": "z [mm]"} | more), aspect="equal", xlim=x, ylim=z)
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_locator(MultipleLocator(every_mm))
 
@@ -132,12 +137,11 @@ VERDICTS = {
     "better": "better",
     "differs": "differs",
 }
-SCROLL = '<p class="table-1-scroll">Scroll the table sideways: {} follow on the right.</p>'
 TABLE_1 = rendered("table_style.html")
 """Style of the tables that look as printed."""
 
 
-def table_1(card: pd.DataFrame, rows: Sequence[Any]) -> HTML:
+def table_1(card: pd.DataFrame, rows: Sequence[Row]) -> HTML:
     """Return Table 1 as printed: in each cell the published number and below it ours, tinted by verdict."""
     lines = []
     for row in rows:
@@ -226,21 +230,19 @@ FOUR = (BLUE, GREEN, PINK, ORANGE)
 XYZ = ["x_mm", "y_mm", "z_mm"]
 
 
-def body_colours(n: int) -> list[Any]:
+def body_colours(n: int) -> list[np.ndarray]:
     """Return the colours of segments from base to tip."""
     return list(LinearSegmentedColormap.from_list("body", BODY)(np.linspace(0, 1, max(n, 2)))[:n])
 
 
-@style()
+@style(**GREY_INK, **NO_GRID)
 def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
     """Draw Fig. 4(a): the field of all magnets in the x-z plane around the robot."""
     grid = field.pivot(index="z_mm", columns="x_mm", values=["b_x_mT", "b_z_mT"])
     # Streamlines want even steps, which numbers from a file have only to their digits.
     x, z = (np.linspace(i[0], i[-1], len(i)) for i in (grid["b_x_mT"].columns, grid.index))
     b_x, b_z = grid["b_x_mT"].to_numpy(), grid["b_z_mT"].to_numpy()
-    mpl.rcParams.update(GREY_INK)
     figure, panel = plt.subplots(figsize=(4.3, 5.4))
-    panel.grid(visible=False)
     size = np.hypot(b_x, b_z)
     image = panel.pcolormesh(x, z, size, norm=LogNorm(1e-2, 100), shading="gouraud", cmap="cividis")
     panel.streamplot(x, z, b_x, b_z, color=(1, 1, 1, 0.55), linewidth=0.7, density=1.4, arrowsize=0.7)
@@ -259,7 +261,7 @@ def field_of_robot(field: pd.DataFrame, parts: pd.DataFrame, backbone: pd.DataFr
     to_scale(panel, x[[0, -1]], z[[0, -1]], every_mm=50)
     bar = figure.colorbar(image, label="flux density in the plane [mT]", shrink=0.8, pad=0.02, extend="max")
     bar.ax.yaxis.set_major_formatter("{x:g}")
-    return closed(figure)
+    return figure
 
 
 def _in_plane(parts: pd.DataFrame, part: str) -> tuple[np.ndarray, np.ndarray]:
@@ -279,47 +281,52 @@ def _cut(centres: np.ndarray, axes: np.ndarray, ring: Ring) -> list[Polygon]:
     ]
 
 
-@style()
+@style(**NO_GRID)
 def relations(parts: pd.DataFrame, backbone: pd.DataFrame, ring: Ring) -> Figure:
     """Draw Fig. 2(a) to scale: distance and angles between the first sensor and the magnet of its segment."""
     (p_m, o_m), (p_s, o_s) = ([x[0] for x in _in_plane(parts, part)] for part in ("magnet", "sensor"))
     p = p_s - p_m
-    ahead, line = p / np.hypot(*p), backbone[["x_mm", "z_mm"]].to_numpy()
+    line = backbone[["x_mm", "z_mm"]].to_numpy()
     figure, panel = plt.subplots(figsize=(5.2, 4.6))
-    panel.grid(visible=False)
     tangent = np.gradient(line, axis=0)
     side = 22 * np.stack([tangent[:, 1], -tangent[:, 0]], 1) / np.linalg.norm(tangent, axis=1)[:, None]
     panel.add_patch(Polygon(np.concatenate([line + side, (line - side)[::-1]]), fc="#767676", alpha=0.13))
     panel.plot(*line.T, color="0.45", lw=1, ls=(0, (6, 3)))
     panel.add_collection(PatchCollection(_cut(p_m[None], o_m[None], ring), fc=GREEN, alpha=0.5))
-    for start, vector, colour, name, share, aside in (
-        (p_m, p, "0.2", "$p$", 0.55, 4.5),
-        (p_m, 30 * o_m, GREEN, "$o_m$", 1.13, 0.0),
-        (p_s, 26 * o_s, BLUE, "$o_s$", 0.85, 6.0),
-    ):
-        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 0}
-        panel.annotate("", start + vector, start, arrowprops=arrow)
-        at = start + share * vector + aside * np.array([vector[1], -vector[0]]) / np.hypot(*vector)
-        panel.text(*at, name, color=colour, ha="center", va="center", fontsize=14)
+    _arrow(panel, p_m, p, "$p$", "0.2", along=0.55, aside=4.5)
+    _arrow(panel, p_m, 30 * o_m, "$o_m$", GREEN, along=1.13, aside=0.0)
+    _arrow(panel, p_s, 26 * o_s, "$o_s$", BLUE, along=0.85, aside=6.0)
     for at, colour, name, offset in ((p_m, GREEN, "magnet", (-46, -4)), (p_s, BLUE, "sensor", (30, -5))):
         panel.plot(*at, "o", color=colour, ms=8)
         panel.annotate(name, at, xytext=offset, textcoords="offset points", ha="center", color=colour)
-    for direction, colour in ((o_m, GREEN), (ahead, "0.2")):
+    for direction, colour in ((o_m, GREEN), (p / np.hypot(*p), "0.2")):
         panel.plot(*np.stack([p_s, p_s + 28 * direction], 1), ":", color=colour, lw=1.6)
-    for at, first, second, radius, name in (
-        (p_m, o_m, p, 17, r"$\theta$"),
-        (p_s, o_s, o_m, 12, r"$\alpha$"),
-        (p_s, o_s, p, 19, r"$\beta$"),
-    ):
-        start, end = (np.degrees(np.arctan2(v[1], v[0])) for v in (first, second))
-        low, high = sorted((start, start + (end - start + 180) % 360 - 180))
-        panel.add_patch(Arc(at, 2 * radius, 2 * radius, theta1=low, theta2=high, color="0.2", lw=1.3))
-        middle = np.radians((low + high) / 2)
-        where = at + (radius + 5) * np.array([np.cos(middle), np.sin(middle)])
-        panel.text(*where, name, ha="center", va="center", fontsize=13)
+    _angle(panel, p_m, (o_m, p), r"$\theta$", radius=17)
+    _angle(panel, p_s, (o_s, o_m), r"$\alpha$", radius=12)
+    _angle(panel, p_s, (o_s, p), r"$\beta$", radius=19)
     panel.plot([-22, 22], [0, 0], color="0.2", lw=4, solid_capstyle="butt")
     to_scale(panel, (-28, 98), (-6, 116), every_mm=20)
-    return closed(figure)
+    return figure
+
+
+def _arrow(
+    panel: Axes, start: np.ndarray, vector: np.ndarray, name: str, colour: str, along: float, aside: float
+) -> None:
+    """Draw a vector; its name stands at a share of its length, so far aside."""
+    arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2, "shrinkA": 0, "shrinkB": 0}
+    panel.annotate("", start + vector, start, arrowprops=arrow)
+    at = start + along * vector + aside * np.array([vector[1], -vector[0]]) / np.hypot(*vector)
+    panel.text(*at, name, color=colour, ha="center", va="center", fontsize=14)
+
+
+def _angle(panel: Axes, at: np.ndarray, between: Sequence[np.ndarray], name: str, radius: float) -> None:
+    """Draw the smaller angle between two directions, with its name."""
+    start, end = (np.degrees(np.arctan2(v[1], v[0])) for v in between)
+    low, high = sorted((start, start + (end - start + 180) % 360 - 180))
+    panel.add_patch(Arc(at, 2 * radius, 2 * radius, theta1=low, theta2=high, color="0.2", lw=1.3))
+    middle = np.radians((low + high) / 2)
+    where = at + (radius + 5) * np.array([np.cos(middle), np.sin(middle)])
+    panel.text(*where, name, ha="center", va="center", fontsize=13)
 
 
 @style()
@@ -340,7 +347,7 @@ def equation_15(table: pd.DataFrame) -> Figure:
         panel.annotate(text, at, xytext=offset, textcoords="offset points", color=colour)
     panel.annotate("base", (12, 0), xytext=(6, -3), textcoords="offset points", color="0.2")
     to_scale(panel, (-30, 90), (-8, 124), every_mm=20)
-    return closed(figure)
+    return figure
 
 
 @style()
@@ -355,7 +362,7 @@ def three_moves(table: pd.DataFrame) -> Figure:
         panel.set_xlabel(label)
         panel.xaxis.set_major_locator(MultipleLocator(2 if np.ptp(part["mm"]) < 10 else 10))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return closed(figure)
+    return figure
 
 
 @style()
@@ -389,11 +396,13 @@ TRUTH_ESTIMATE = (
 """Legend of curves over time."""
 
 
-def _over_time(panel: Any, part: pd.DataFrame, colour: str, works: Any = None, label: str = "") -> None:
+def _over_time(
+    panel: Axes, part: pd.DataFrame, colour: str, works: pd.Series | None = None, label: str = ""
+) -> None:
     t, truth, mean, deviation = (part[name] for name in ("time_s", "truth", "mean", "std"))
-    works = truth.notna() if works is None else works
-    panel.plot(t, truth.where(works), color=colour, lw=3.6, alpha=0.45, label=label)
-    panel.plot(t, truth.mask(works), color=colour, lw=3.6, alpha=0.15)
+    valid = truth.notna() if works is None else works
+    panel.plot(t, truth.where(valid), color=colour, lw=3.6, alpha=0.45, label=label)
+    panel.plot(t, truth.mask(valid), color=colour, lw=3.6, alpha=0.15)
     panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
     panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
 
@@ -406,42 +415,49 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
     which is not drawn.
     """
     points = pd.concat([shapes, parts])[XYZ].to_numpy(float)
-    middle, reach = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0) / 2
+    low, high = points.min(0), points.max(0)
     times, looks = shapes["time_s"].unique(), STILLS if (~parts["working"]).any() else STILLS[:2]
     rows = -(-len(times) // 3)
     tall = 2.3 * rows + 0.45
     figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
         place = (k % 3 / 3, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
-        panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
-        now, off = shapes[shapes["time_s"] == time_s], {}
-        for run, own in [*now.groupby("run", sort=False)][::-1]:
-            tip = own[XYZ].iloc[-1] - now.loc[now["run"] == "truth", XYZ].iloc[-1]
-            off[run] = float(np.linalg.norm(tip))
-            for colour, (_, part) in zip(body_colours(3), own.groupby("segment"), strict=False):
-                look = {"color": colour, "lw": 2} if run == "truth" else ESTIMATE
-                panel.plot(*part[XYZ].to_numpy().T, **look if run != beside else {"lw": 0})
-        for kind, works, _, look in looks:
-            chosen = (parts["time_s"] == time_s) & (parts["part"] == kind) & (parts["working"] == works)
-            panel.plot(*parts.loc[chosen, XYZ].to_numpy().T, ls="", **look)
-        for name, centre, half in zip("xyz", middle, reach, strict=True):
-            getattr(panel, f"set_{name}lim")(centre - half, centre + half)
-            getattr(panel, f"{name}axis").set_major_locator(MultipleLocator(100))
-            getattr(panel, f"set_{name}ticklabels")([])
-        panel.patch.set_visible(False)
-        panel.set_box_aspect(tuple(reach), zoom=1.13)
-        panel.view_init(elev=15, azim=-60)
+        panel = figure.add_axes(place, projection="3d", computed_zorder=False, elev=15, azim=-60)
+        panel.set(**{f"{name}lim": ends for name, *ends in zip("xyz", low, high, strict=True)})
+        panel.set_box_aspect(high - low, zoom=1.13)
+        for axis in (panel.xaxis, panel.yaxis, panel.zaxis):
+            axis.set_major_locator(MultipleLocator(100))
+            axis.set_major_formatter("")
+        now = shapes[shapes["time_s"] == time_s]
+        _shapes(panel, now[now["run"] != beside])
+        _parts(panel, parts[parts["time_s"] == time_s], looks)
+        tips = now.groupby("run")[XYZ].last()
+        off = np.sqrt(((tips - tips.loc["truth"]) ** 2).sum(axis=1))
         bracket = f" ({off[beside]:.1f})" if beside else ""
-        mean = np.mean([off[run] for run in off if run not in ("truth", beside)])
-        words = f"{time_s:.1f} s: {mean:.1f}{bracket} mm"
+        words = f"{time_s:.1f} s: {off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
         figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
     lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
     return with_legend(figure, lines, columns=5, loc="upper center")
 
 
-ESTIMATE: Any = {"color": ORANGE, "lw": 7, "alpha": 0.3}
-STILLS: Any = (
+def _shapes(panel: Axes, now: pd.DataFrame) -> None:
+    """Draw the shapes of all runs at one time, the last run first."""
+    for run, own in [*now.groupby("run", sort=False)][::-1]:
+        for colour, (_, part) in zip(body_colours(3), own.groupby("segment"), strict=False):
+            look = {"color": colour, "lw": 2} if run == "truth" else ESTIMATE
+            panel.plot(*part[XYZ].to_numpy().T, **look)
+
+
+def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str, Look]]) -> None:
+    """Draw magnets and sensors at one time."""
+    for kind, works, _, look in looks:
+        chosen = (now["part"] == kind) & (now["working"] == works)
+        panel.plot(*now.loc[chosen, XYZ].to_numpy().T, ls="", **look)
+
+
+ESTIMATE: Look = {"color": ORANGE, "lw": 7, "alpha": 0.3}
+STILLS: Sequence[tuple[str, bool, str, Look]] = (
     ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6}),
     ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5}),
     ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0}),
@@ -472,7 +488,7 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     for panel, every in zip(panels, (1, 0.5, 2, 3, 3), strict=True):
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[0].set_ylabel("readings [mT]")
-    panels[-1].margins(x=0.01)
+    panels[-1].set_xmargin(0.01)
     figure.align_ylabels(panels)
     planes = [
         Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
@@ -497,42 +513,31 @@ def table_2(printed: pd.DataFrame, lines: dict[str, pd.DataFrame], chaotic: set[
         for table in lines.values()
     ]
     columns = [(name, part) for name, (_, unit) in RIG_COLUMNS.items() for part in (unit, "%")]
-    heads = [f'<th scope="col">{RIG_COLUMNS[name][0]}<br>[{unit}]</th>' for name, unit in columns]
-    body = [f'<tr><th scope="row">mean ± std</th>{"".join(heads)}</tr></thead><tbody>']
-    for row, own in printed.groupby("row", sort=False):
-        cells, known = [], own.set_index(["quantity", "unit"])
-        for name, unit in columns:
-            if (name, unit) not in known.index:
-                cells.append("<td>–</td>")
-                continue
-            above = known.loc[(name, unit)]
-            places = len(above["printed"].partition(".")[2])
-            texts = [_mean_and_spread(table, (row, name, unit), places) for table in means]
-            texts[0] = "~ " * ((row, name) in chaotic) + texts[0]
-            below = "".join(f"<em>{text}</em>" for text in texts[1:])
-            cells.append(
-                f"<td><small>{above['printed']} ± {above['printed_std']}</small>{texts[0]}{below}</td>"
-            )
-        body.append(f'<tr><th scope="row">{str(row).replace("->", " → ")}</th>{"".join(cells)}</tr>')
-    box = '<div class="table-1" tabindex="0" role="region" aria-label="Table 2, published and regenerated">'
-    legend = " ".join(f"{look}: {name}." for look, name in zip(("Upright", "Italic"), lines, strict=False))
-    mark = " ~: rounding changes the error of at least one network, see below." if chaotic else ""
-    return HTML(
-        f"{TABLE_1}{box}<table><thead>{''.join(body)}</tbody></table></div>"
-        f"{SCROLL.format('the errors of the bend')}<p>Grey: published. {legend}{mark}</p>"
-    )
+
+    def cell(row: str, name: str, unit: str) -> list[str]:
+        if (row, name, unit) not in known.index:
+            return []
+        above = known.loc[(row, name, unit)]
+        places = len(above["printed"].partition(".")[2])
+        found = [table.reindex([(row, name, unit)]).iloc[0] for table in means]
+        texts = [with_spread(mean, std, places) for mean, std in found]
+        texts[0] = "~ " * ((row, name) in chaotic) + texts[0]
+        return [f"{above['printed']} ± {above['printed_std']}", *texts]
+
+    known = printed.set_index(key)
+    rows = {row: [cell(row, *column) for column in columns] for row in printed["row"].unique()}
+    heads = [(RIG_COLUMNS[name][0], unit) for name, unit in columns]
+    return HTML(rendered("table_2.html", heads=heads, rows=rows, names=list(lines), chaotic=chaotic))
 
 
-def _mean_and_spread(table: pd.DataFrame, key: tuple[Any, str, str], places: int) -> str:
-    """Return a mean with its deviation, to as many places as are printed; a dash where there is none."""
-    if key not in table.index:
-        return "–"
-    mean, std = table.loc[key]
-    return f"{mean:.{places}f}" + (f" ± {std:.{places}f}" if np.isfinite(std) else "")
+def with_spread(mean: float, std: float, places: int) -> str:
+    """Return a mean with its deviation, if there is one, to so many places; a dash where there is no mean."""
+    spread = f" ± {std:.{places}f}" if np.isfinite(std) else ""
+    return f"{mean:.{places}f}{spread}" if np.isfinite(mean) else "–"
 
 
-@style()
-def rig_to_scale(robot: Any, markers_at: float) -> Figure:
+@style(**NO_GRID)
+def rig_to_scale(robot: Robot, markers_at: float) -> Figure:
     """Draw Fig. 8 as a section and from above, to scale [mm]: body, chambers, ring, sensors and markers."""
     figure, (side, top) = plt.subplots(1, 2, figsize=(WIDTH, 4.0), width_ratios=(1.15, 1))
     segment, magnet = robot.segments[0], robot.magnets[0]
@@ -541,75 +546,45 @@ def rig_to_scale(robot: Any, markers_at: float) -> Figure:
     look = {"fc": "#76767622", "ec": "#767676"}
     side.add_patch(Polygon([(-radius, 0), (radius, 0), (radius, length), (-radius, length)], **look))
     for half in _cut(np.array([[0.0, at]]), np.array([[0.0, 1.0]]), magnet.shape):
-        half.set(fc=GREEN, ec="none")
         side.add_patch(half)
+        half.set(fc=GREEN, ec="none")
     places = 1e3 * np.array([sensor.place.position for sensor in robot.sensors])
     side.plot(places[:, 0], 0 * places[:, 0] + length, "s", color=BLUE, ms=6, clip_on=False)
     side.plot([-radius - 4, radius + 4], [1e3 * markers_at] * 2, color=ORANGE, lw=2.5)
     side.plot([-radius - 4, radius + 4], [0, 0], color="#767676", lw=4)
-    for z, words in (
-        (0, "base"),
-        (at, "ring magnet"),
-        (1e3 * markers_at - 5, "markers"),
-        (length + 2, "sensors"),
-    ):
+    heights = {"base": 0, "ring magnet": at, "markers": 1e3 * markers_at - 5, "sensors": length + 2}
+    for words, z in heights.items():
         side.annotate(words, (radius + 7, z), va="center", annotation_clip=False)
-    side.set(
-        xlim=(-radius - 6, radius + 6),
-        ylim=(-4, length + 8),
-        aspect="equal",
-        xlabel="x [mm]",
-        ylabel="z [mm]",
-    )
     round_ = [(radius, look), (outer, {"fc": GREEN, "ec": "none"}), (inner, {"fc": "white", "ec": "none"})]
     for size, own in round_:
         top.add_patch(Circle((0, 0), size, **own))
     for azimuth in np.radians([180, 300, 60]):
-        top.add_patch(
-            Circle(
-                13 * np.array([np.cos(azimuth), np.sin(azimuth)]),
-                150**0.5 / np.pi**0.5,
-                fc="none",
-                ec="#767676",
-                ls="--",
-            )
-        )
+        centre = 13 * np.array([np.cos(azimuth), np.sin(azimuth)])
+        top.add_patch(Circle(centre, 150**0.5 / np.pi**0.5, fc="none", ec="#767676", ls="--"))
     top.plot(*places[:, :2].T, "s", color=BLUE, ms=7)
-    top.set(
-        xlim=(-radius - 2, radius + 2),
-        ylim=(-radius - 2, radius + 2),
-        aspect="equal",
-        xlabel="x [mm]",
-        ylabel="y [mm]",
-    )
-    top.set_title("from the tip")
-    side.set_title("cut along x")
-    for panel in (side, top):
-        panel.grid(visible=False)
-        panel.xaxis.set_major_locator(MultipleLocator(20))
-        panel.yaxis.set_major_locator(MultipleLocator(20))
-    return closed(figure)
+    to_scale(side, (-radius - 6, radius + 6), (-4, length + 8), every_mm=20, title="cut along x")
+    reach = (-radius - 2, radius + 2)
+    to_scale(top, reach, reach, every_mm=20, ylabel="y [mm]", title="from the tip")
+    return figure
 
 
-def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Any]]:
+def _six_in_space(titles: Sequence[str]) -> tuple[Figure, list[Axes]]:
     """Return a figure with six panels in 3-D for the whole segment [mm], stretched sideways."""
     figure = plt.figure(figsize=(WIDTH, 5.4), layout="none")  # pictures in 3-D waste their margins
     figure.subplots_adjust(0, 0.03, 0.94, 0.9, 0.02, 0.08)
-    panels: list[Any] = []
     for k, title in enumerate(titles):
-        panel: Any = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False)
-        panel.set(xlim=(-25, 25), ylim=(-25, 25), zlim=(0, 120))
-        panel.set(xticks=(-20, 0, 20), yticks=(0, 20), zticks=(0, 50, 100))  # -20 would lie on the 20 of x
+        panel = figure.add_subplot(2, 3, k + 1, projection="3d", computed_zorder=False, elev=20, azim=-55)
+        panel.set(
+            xlim=(-25, 25), ylim=(-25, 25), zlim=(0, 120), zticks=(0, 50, 100),
+            xticks=(-20, 0, 20), yticks=(0, 20),  # -20 would lie on the 20 of x
+        )  # fmt: skip
         for name, pad in (("x", -4), ("y", -4), ("z", 0)):
             panel.tick_params(name, pad=pad)
             words = f"{name} [mm]" if name != "z" or k % 3 == 2 else ""  # no room between the panels
             getattr(panel, f"set_{name}label")(words, labelpad=pad - 3)
-        panel.patch.set_visible(False)
         panel.set_box_aspect((1, 1, 1.5), zoom=1.12)
-        panel.view_init(elev=20, azim=-55)
         panel.set_title(title, y=1.03)
-        panels.append(panel)
-    return figure, panels
+    return figure, figure.axes
 
 
 @style()
@@ -622,11 +597,10 @@ def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
         tip = paths[paths["recording"] == name][["tip_x_mm", "tip_y_mm", "tip_z_mm"]]
         panel.plot(*tip.to_numpy().T, color=BLUE, lw=1.2)
     lines = [Line2D([], [], color=SKY, label="shape"), Line2D([], [], color=BLUE, label="path of the tip")]
-    figure.legend(handles=lines, loc="upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=2, loc="upper center")
 
 
-MAP: Any = {
+MAP: Mapping[str, Look] = {
     "start": {"marker": "s", "color": "white", "mec": "black", "ms": 8, "ls": ""},
     "descent": {"marker": "o", "color": ORANGE, "ms": 3, "lw": 1.2},
     "half the step": {"marker": "o", "color": PINK, "ms": 2.5, "lw": 1.0},
@@ -636,7 +610,7 @@ MAP: Any = {
 """Looks of what a map shows; in Fig. 10(a) start, descent and estimate are q̂0, q̂t and q̂*."""
 
 
-@style()
+@style(**GREY_INK)
 def landscape_and_estimates(
     maps: dict[str, tuple[pd.DataFrame, list[pd.DataFrame], np.ndarray]],
     series: dict[str, np.ndarray],
@@ -647,46 +621,49 @@ def landscape_and_estimates(
     A map holds the loss, what the descent tries (and what it would try with half the step), and the truth. A series
     holds truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm] of a trajectory.
     """
-    mpl.rcParams.update(GREY_INK)
     places = [[*maps], *([name] * len(maps) for name in (*series, "a part"))]
     figure, panels = plt.subplot_mosaic(places, figsize=(WIDTH, 9.6), height_ratios=(2.8, 1.6, 1.6, 1.6))
-    for title, (grid, paths, truth) in maps.items():
-        table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
-        look = {"vmin": 0, "vmax": 100, "rasterized": True}
-        panels[title].pcolormesh(table.columns, table.index, table, cmap="viridis", **look)
-        bends = [path[["delta_x_mm", "delta_y_mm"]].to_numpy() for path in paths]
-        best = bends[0][paths[0]["rmse_mV"].argmin()]
-        drawn = {"half the step": bends[-1], "descent": bends[0], "start": bends[0][0], "truth": truth}
-        for name, points in (drawn | {"estimate": best}).items():
-            panels[title].plot(*points.T, **MAP[name])
-        panels[title].set(xlim=table.columns[[0, -1]], ylim=table.index[[0, -1]], title=title)
-        panels[title].set(xlabel=r"$\Delta_x$ [mm]", ylabel=r"$\Delta_y$ [mm]")
-        panels[title].grid(visible=False)
+    for title, of_map in maps.items():
+        _landscape(panels[title], *of_map)
+        panels[title].set_title(title)
     drawn_on = [panels[title] for title in maps]
     figure.colorbar(drawn_on[0].collections[0], ax=drawn_on, label="error of the readings [mV]")
-    for name in (*series, "a part"):
-        values = series.get(name, [*series.values()][-1])
-        curves = {"time_s": np.arange(len(values)) / 40, "std": 0.0}
+    last = [*series][-1]
+    for name, values in (series | {"a part": series[last]}).items():
         for k, colour in enumerate((BLUE, ORANGE)):
             found = pd.DataFrame(values[:, k, 1:])
-            curves |= {"truth": values[:, k, 0], "mean": found.mean(axis=1), "std": found.std(axis=1)}
+            curves = {"time_s": np.arange(len(values)) / 40, "truth": values[:, k, 0]}
+            curves |= {"mean": found.mean(axis=1), "std": found.std(axis=1)}
             _over_time(panels[name], pd.DataFrame(curves), colour)
-        panels[name].set(title=name, ylabel="bend [mm]")
-        panels[name].margins(x=0)
-    last = [*series][-1]
+        panels[name].set(title=name, ylabel="bend [mm]", xmargin=0)
     panels["a part"].set(xlim=zoom_s, xlabel="time [s]", title=f"{last}, a part of it")
     colours = [Line2D([], [], color=c, lw=3, label=rf"$\Delta_{a}$") for a, c in (("x", BLUE), ("y", ORANGE))]
     looks = {"truth": {"lw": 3, "alpha": 0.6}, "estimate": {"lw": 1.2, "ls": (0, (4, 2))}}
     lines = [Line2D([], [], color="#767676", label=name, **look) for name, look in looks.items()]
     beside = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.15), **BESIDE}
     panels[next(iter(series))].legend(handles=[*colours, *lines], ncols=4, **beside)
-    looks = [Line2D([], [], label=name, **look) for name, look in MAP.items()]
-    figure.legend(handles=looks, loc="outside upper center", ncols=5, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, [Line2D([], [], label=name, **look) for name, look in MAP.items()], columns=5)
+
+
+def _landscape(panel: Axes, grid: pd.DataFrame, paths: list[pd.DataFrame], truth: np.ndarray) -> None:
+    """Draw the loss over the bend, and the paths of descents on it."""
+    table = grid.pivot(index="delta_y_mm", columns="delta_x_mm", values="rmse_mV")
+    look = {"vmin": 0, "vmax": 100, "rasterized": True}
+    panel.pcolormesh(table.columns, table.index, table, cmap="viridis", **look)
+    bends = [path[["delta_x_mm", "delta_y_mm"]].to_numpy() for path in paths]
+    best = bends[0][paths[0]["rmse_mV"].argmin()]
+    drawn = {"half the step": bends[-1], "descent": bends[0], "start": bends[0][0], "truth": truth}
+    for name, points in (drawn | {"estimate": best}).items():
+        panel.plot(*points.T, **MAP[name])
+    panel.set(
+        xlabel=r"$\Delta_x$ [mm]", xlim=table.columns[[0, -1]],
+        ylabel=r"$\Delta_y$ [mm]", ylim=table.index[[0, -1]],
+    )  # fmt: skip
+    panel.grid(visible=False)
 
 
 @style()
-def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarray) -> Figure:
+def rig_stills(robot: Robot, times: np.ndarray, truth: np.ndarray, found: np.ndarray) -> Figure:
     """Draw Fig. 11, lower row: the true segment opaque, the estimates ``[time, seed, 3]`` [m] pale."""
     figure, panels = _six_in_space([f"{time_s:.1f} s" for time_s in times])
     at = [robot.magnets[0].place, *(sensor.place for sensor in robot.sensors)]
@@ -703,8 +680,7 @@ def rig_stills(robot: Any, times: np.ndarray, truth: np.ndarray, found: np.ndarr
         Line2D([], [], color=GREEN, marker="o", ls="", label="magnet"),
         Line2D([], [], color=BLUE, marker="s", ls="", label="sensor"),
     ]
-    figure.legend(handles=lines, loc="upper center", ncols=4, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=4, loc="upper center")
 
 
 # Bend tests and light bulb: Figs 9 and 8 of Mitchell et al.
@@ -758,11 +734,10 @@ def bend_tests(table: pd.DataFrame) -> Figure:
             direction.set_xlabel("time [s]")
     lines = [Line2D([], [], label=method, **look) for method, look in looks.items()]
     figure.align_ylabels(panels)
-    figure.legend(handles=lines, loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=2)
 
 
-@style()
+@style(**LEVELS)
 def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of bend and direction by take, a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
@@ -778,11 +753,9 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     panels[1].set(ylabel="direction: RMSE [°]", ylim=(0, None), xlabel="test and try")
     panels[1].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
     for panel in panels:
-        panel.grid(visible=False, axis="x")
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
-    figure.legend(loc="outside upper center", ncols=2, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, columns=2)
 
 
 @style()
@@ -820,8 +793,7 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> 
         Line2D([], [], color=YELLOW, lw=6, alpha=0.4, label="event"),
     ]
     figure.align_ylabels(panels)
-    figure.legend(handles=lines, loc="outside upper center", ncols=4, **BESIDE)
-    return closed(figure)
+    return with_legend(figure, lines, columns=4)
 
 
 # The particle filter: Figs 3 to 5 of Mitchell et al.
@@ -829,7 +801,7 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> 
 CURVE_LOOKS = {"spiral": (BLUE, "o"), "flower": (ORANGE, "s"), "seagull": (GREEN, "D")}
 
 
-@style()
+@style(**NO_GRID)
 def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
     """Draw Figs 3 and 4: the disc of bends [deg] with a cloud of particles, and with each curve."""
     figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 5.6), sharex=True, sharey=True)
@@ -841,13 +813,12 @@ def bend_space(curves: pd.DataFrame, cloud: pd.DataFrame) -> Figure:
         panel.plot(part["x_deg"], part["y_deg"], lw=1, color=CURVE_LOOKS[str(name)][0])
         panel.set_title(str(name).capitalize())
     for panel in panels.flat:
-        panel.grid(visible=False)
         for radius in (30, 60, 90):
             panel.add_patch(Circle((0, 0), radius, fill=False, lw=1.2 if radius == 90 else 0.5, color="0.6"))
         panel.set(aspect="equal", xlim=(-95, 95), ylim=(-95, 95), xticks=(-90, 0, 90), yticks=(-90, 0, 90))
     figure.supxlabel(r"$\varphi\,\cos\theta$ [deg]")
     figure.supylabel(r"$\varphi\,\sin\theta$ [deg]")
-    return closed(figure)
+    return figure
 
 
 @style()
@@ -883,8 +854,7 @@ def bend_error_over_time(table: pd.DataFrame, printed: dict[str, float]) -> Figu
         for colour, (n, part) in zip((SKY, BLUE), runs, strict=False):
             panel.plot(part["t"], part["error_mm"], lw=1, color=colour, label=f"{n} particles")
         panel.axhline(rmse, color=PUBLISHED, ls="--", label="published RMSE, 1000 particles")
-        panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None))
-        panel.margins(x=0)
+        panel.set(title=name.capitalize(), ylabel="error [mm]", ylim=(0, None), xmargin=0)
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -915,7 +885,7 @@ def bend_error_by_noise(
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
-    return closed(figure)
+    return figure
 
 
 # Motion sensors: Table II and Figs 3 to 6 of Martin et al.
@@ -935,14 +905,12 @@ def table_ii(printed: pd.DataFrame, errors: pd.DataFrame, badge: str, words: str
         for model, case in models.items():
             own = errors[(errors["case"] == case) & (errors["marker"] == marker)]
             ours = own.groupby("draw")[column].mean() * 100 / at
-            spread = f" ± {ours.std():.1f}" if len(ours) > 1 else ""
-            text = f"{ours.mean():.1f}{spread}" if len(ours) else "–"
-            cells.append((known[f"{marker} {model}", quantity], text))
+            cells.append((known[f"{marker} {model}", quantity], with_spread(ours.mean(), ours.std(), 1)))
         rows[f"{marker} ({at:.0f} mm), {name}"] = cells
     return HTML(rendered("table_ii.html", models=models, rows=rows, badge=badge, words=words))
 
 
-@style()
+@style(**LEVELS)
 def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figure:
     """Draw Figs 3 to 5: boxes of the markers' errors [mm] with published medians and third quartiles."""
     groups = {
@@ -952,29 +920,15 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
     }
     figure, panels = row_of_panels(3, 3.6, "error [mm]", sharey=True, width_ratios=(3, 4, 3))
     for panel, (name, (column, label, model)) in zip(panels, groups.items(), strict=True):
-        own, known = boxes[boxes["figure"] == name], printed[name]
+        own = boxes[boxes["figure"] == name]
         steps = sorted(own[column].unique())
-        for shift, (marker, (colour, at)) in zip((-0.2, 0.2), MARKER_LOOKS.items(), strict=True):
-            for case in own[own["marker"] == marker].to_dict("records"):
-                x, keys = steps.index(case[column]) + shift, ("whislo", "q1", "med", "q3", "whishi")
-                values = [case[f"{q}_mm"] for q in ("q05", "q25", "median", "q75", "q95")]
-                box = {"facecolor": colour, "alpha": 0.35, "edgecolor": colour}
-                panel.bxp([dict(zip(keys, values, strict=True))], positions=[x], widths=0.34, showfliers=False,
-                          patch_artist=True, manage_ticks=False, boxprops=box, medianprops={"color": colour, "lw": 2},
-                          whiskerprops={"color": colour}, capprops={"color": colour})  # fmt: skip
-                ending = {"n_imus": "IMUs", "segments": "segments( and more)?"}[column]
-                number = min(case[column], 16)  # "16 segments and more"
-                rows = known[known["row"].str.fullmatch(rf"{marker} .*\b{number} {ending}")]
-                for row in rows.itertuples():
-                    value = row.value * (at / 100 if row.unit == "%" else 1)
-                    panel.plot(
-                        x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6
-                    )
+        for _, case in own.iterrows():
+            shift = -0.2 if case["marker"] == "M1" else 0.2
+            _box(panel, case, steps.index(case[column]) + shift, case[column], column, printed[name])
         panel.set(
             title=f"{name}:\n{model}", xlabel=label, ylim=(0, None),
             xticks=range(len(steps)), xticklabels=steps,
         )  # fmt: skip
-        panel.grid(visible=False, axis="x")
     lines = [
         *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
         Line2D([], [], color="#1A1A1A", marker="D", mec="white", ls="", label="published median"),
@@ -983,24 +937,37 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
     return with_legend(figure, lines, columns=4)
 
 
+def _box(panel: Axes, case: pd.Series, x: float, number: int, column: str, printed: pd.DataFrame) -> None:
+    """Draw the box of one case, and what is printed of it."""
+    colour, at = MARKER_LOOKS[case["marker"]]
+    shares = {"whislo": "q05", "q1": "q25", "med": "median", "q3": "q75", "whishi": "q95"}
+    panel.bxp([{key: case[f"{q}_mm"] for key, q in shares.items()}], positions=[x], widths=0.34,
+              showfliers=False, patch_artist=True, manage_ticks=False,
+              boxprops={"facecolor": colour, "alpha": 0.35, "edgecolor": colour},
+              medianprops={"color": colour, "lw": 2}, whiskerprops={"color": colour},
+              capprops={"color": colour})  # fmt: skip
+    ending = {"n_imus": "IMUs", "segments": "segments( and more)?"}[column]
+    printed_as = rf"{case['marker']} .*\b{min(number, 16)} {ending}"  # "16 segments and more"
+    for row in printed[printed["row"].str.fullmatch(printed_as)].itertuples():
+        value = row.value * (at / 100 if row.unit == "%" else 1)
+        panel.plot(x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6)
+
+
 @style()
 def error_hull(hull: pd.DataFrame) -> Figure:
     """Draw Fig. 6: the arm in one pose of each mode, leaning to one side, in a hull with the error as radius."""
     modes = hull.groupby("mode", sort=False)
     figure, panels = row_of_panels(len(modes), 2.2, "height [mm]", sharex=True, sharey=True)
     for panel, (mode, part) in zip(panels, modes, strict=True):
-        away = part[["x_mm", "y_mm"]].iloc[-1].to_numpy()
-        away = away / np.linalg.norm(away)
-        for prefix, look in (("", {"color": "#1A1A1A", "lw": 2}), ("estimate_", {"color": ORANGE})):
-            x = part[[f"{prefix}x_mm", f"{prefix}y_mm"]].to_numpy() @ away
-            line = np.vstack([[0, 0], np.stack([x, part[f"{prefix}z_mm"]], axis=-1)])
-            panel.plot(*line.T, **look)
-            if not prefix:
-                joints, fine = np.arange(len(line)), np.linspace(0, len(line) - 1, 400)
-                dense = [np.interp(fine, joints, y) for y in (*line.T, np.r_[0.0, part["radius_mm"]])]
-                discs = [Circle((x, z), r) for x, z, r in zip(*dense, strict=True)]
-                for look in ({"color": BLUE, "lw": 2.5}, {"color": "#A6D5F2", "lw": 0}):  # outline, hull
-                    panel.add_collection(PatchCollection(discs, **look))
+        arm, estimate = (part[[f"{of}{axis}_mm" for axis in "xyz"]].to_numpy() for of in ("", "estimate_"))
+        line = from_the_side(arm, arm)
+        joints, fine = np.arange(len(line)), np.linspace(0, len(line) - 1, 400)
+        dense = [np.interp(fine, joints, y) for y in (*line.T, np.r_[0.0, part["radius_mm"]])]
+        discs = [Circle((x, z), r) for x, z, r in zip(*dense, strict=True)]
+        for look in ({"color": BLUE, "lw": 2.5}, {"color": "#A6D5F2", "lw": 0}):  # outline, hull
+            panel.add_collection(PatchCollection(discs, **look))
+        panel.plot(*line.T, color="#1A1A1A", lw=2)
+        panel.plot(*from_the_side(estimate, arm).T, color=ORANGE)
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
     lines = [
         Line2D([], [], color="#1A1A1A", label="arm"),
@@ -1010,14 +977,19 @@ def error_hull(hull: pd.DataFrame) -> Figure:
     return with_legend(figure, lines, columns=3)
 
 
+def from_the_side(points: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Return the base and points ``[n, 3]`` as seen from the side to which an arm leans ``[1 + n, 2]``."""
+    away = arm[-1, :2] / np.linalg.norm(arm[-1, :2])
+    return np.vstack([[0, 0], np.stack([points[:, :2] @ away, points[:, 2]], axis=-1)])
+
+
 @style()
 def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) -> Figure:
     """Draw joints of models ``[points, 3]`` [m] beside the arm, from the side, with the gap after each link."""
     figure, panels = row_of_panels(len(chains), 3.8, "height [mm]", sharex=True, sharey=True)
-    away = arm[-1, :2] / np.linalg.norm(arm[-1, :2])
-    side, colours = 1e3 * np.stack([arm[:, :2] @ away, arm[:, 2]], axis=-1), (ORANGE, BLUE)
-    for panel, (name, joints), colour in zip(panels, chains.items(), colours, strict=True):
-        line = np.vstack([[0, 0], 1e3 * np.stack([joints[:, :2] @ away, joints[:, 2]], axis=-1)])
+    side = 1e3 * from_the_side(arm, arm)[1:]
+    for panel, (name, joints), colour in zip(panels, chains.items(), (ORANGE, BLUE), strict=True):
+        line = 1e3 * from_the_side(joints, arm)
         panel.plot(*side.T, color="#1A1A1A", lw=2, label="arm")
         panel.plot(*line.T, "o-", color=colour, ms=3.5, lw=2)
         ends = [x[:: (len(x) - 1) // links] for x in (line, side)]
@@ -1038,7 +1010,7 @@ ARM_LOOKS = {
 }
 
 
-@style()
+@style(**LEVELS)
 def real_arm_errors(errors: pd.DataFrame) -> Figure:
     """Draw mean errors [mm] by trial as bars, raw readings above calibrated ones."""
     names = list(errors["trial"].unique())
@@ -1048,7 +1020,6 @@ def real_arm_errors(errors: pd.DataFrame) -> Figure:
             own = part[part["estimator"] == estimator].set_index("trial")["rmse_mm"].reindex(names)
             panel.bar(np.arange(len(names)) + 0.17 * (k - 2), own, 0.16, color=colour, label=label)
         panel.set(ylabel="error [mm]", title=f"{setting} readings")
-        panel.grid(visible=False, axis="x")
     panels[1].set_xticks(range(len(names)), names)
     return with_legend(figure, panels[0], columns=3)
 
@@ -1066,8 +1037,7 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
         for name, part in points.groupby("line", sort=False):
             along, up = np.append(0.0, part[f"{axis}_mm"]), np.append(0.0, part["z_mm"])
             panel.plot(along, up, label=name, **looks[str(name)])
-        panel.set(xlabel=f"{axis} [mm]", aspect="equal")
-        panel.margins(x=0.3)
+        panel.set(xlabel=f"{axis} [mm]", aspect="equal", xmargin=0.3)
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -1125,11 +1095,10 @@ def noise_study(table: pd.DataFrame) -> Figure:
     return with_legend(figure, panels[0, 0])
 
 
-@style()
+@style(**GREY_INK, **NO_GRID)
 def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -> Figure:
     """Draw deviations of the tip [mm] over radius and height of the sensors: by noise, and before calibration."""
     columns = {"noise_mm": "noise alone", "off_mm": "noise and tolerances"}
-    mpl.rcParams.update(GREY_INK)
     figure, panels = row_of_panels(2, 4.0, "height above the magnet [mm]", sharex=True, sharey=True)
     for panel, (column, title) in zip(panels, columns.items(), strict=True):
         wide = table.pivot(index="above_mm", columns="radial_mm", values=column)
@@ -1140,7 +1109,6 @@ def sensor_places(table: pd.DataFrame, marked: dict[str, tuple[float, float]]) -
         for marker, (name, place) in zip("so^", marked.items(), strict=False):
             panel.plot(*place, marker=marker, mfc="white", mec="black", ms=9, ls="none", label=name)
         panel.set(title=title, xlabel="radius [mm]")
-        panel.grid(visible=False)
     return with_legend(figure, panels[0], columns=3)
 
 
@@ -1180,11 +1148,10 @@ def filter_over_time(table: pd.DataFrame) -> Figure:
         band = part["two_sigma_mm"]
         panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
         panel.plot(part["time_s"], part["error_mm"], lw=1, color=colour)
-        panel.set(title=name, ylabel="error [mm]")
-        panel.margins(x=0)
+        panel.set(title=name, ylabel="error [mm]", xmargin=0)
     reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
     panels[0].set_ylim(-reach, reach)
-    return closed(figure)
+    return figure
 
 
 @style()
@@ -1208,14 +1175,13 @@ def loop_over_time(series: pd.DataFrame) -> Figure:
             panel.plot(part["delta_x_mm"], part["delta_y_mm"], lw=1, color=colour)
             panel.set(aspect="equal", xlabel="bend in x [mm]", title=str(name).replace("r with", "r\nwith"))
             panel.set_ylabel("bend in y [mm]") if k == 1 else panel.tick_params(labelleft=False)
-    below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
-    below.margins(x=0)
+    below.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None), xmargin=0)
     return with_legend(figure, below, columns=3, loc="outside lower center")
 
 
 # Which sensors
 
-SEGMENT_LOOKS: Any = {
+SEGMENT_LOOKS = {
     "ring and 3 sensors": (BLUE, "o"),
     "cube and Hall sensor, middle": (PINK, "v"),
     "2 IMUs": (ORANGE, "s"),
@@ -1224,7 +1190,7 @@ SEGMENT_LOOKS: Any = {
 }
 
 
-@style()
+@style(**LEVELS)
 def segment_errors(means: pd.DataFrame) -> Figure:
     """Draw mean tip errors [mm] by trajectory and method with their intervals: filled if calibrated, else open."""
     names = list(means["trajectory"].unique())
@@ -1244,8 +1210,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
-    panel.grid(visible=False, axis="x")
-    grey: Any = {"color": "#767676", "marker": "o", "ls": ""}
+    grey: Look = {"color": "#767676", "marker": "o", "ls": ""}
     more = [
         Line2D([], [], label="calibrated", **grey),
         Line2D([], [], mfc="none", label="not calibrated", **grey),
@@ -1256,9 +1221,9 @@ def segment_errors(means: pd.DataFrame) -> Figure:
 
 # Sensors that drift
 
-SPAN: Any = {"color": "#505050", "alpha": 0.16, "lw": 0}
+SPAN: Look = {"color": "#505050", "alpha": 0.16, "lw": 0}
 """A time that is marked: seen on a light ground and, inverted, on a dark one."""
-DRIFT_LOOKS: Any = {
+DRIFT_LOOKS: Mapping[str, tuple[str, LineStyleType, str]] = {
     "IMU only": (ORANGE, "-", "IMUs only"),
     "magnets only": (SKY, "-", "magnets only"),
     "fused": (PINK, (0, (3, 2)), "calibrated once"),
@@ -1354,4 +1319,4 @@ def failing_chip(shape: Any, tip_std_mm: np.ndarray, fails_at_s: float) -> Figur
     ):
         panel.axvline(fails_at_s, color=PUBLISHED, lw=4, alpha=0.5, zorder=0)
         panel.set_ylabel(name)
-    return closed(figure)
+    return figure

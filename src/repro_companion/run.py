@@ -29,6 +29,10 @@ from typing import Any
 
 from repro.common import InputError, bad_input, cache_folder, require
 
+Json = Any
+"""A value of a parameter, or what else JSON can hold."""
+Record = dict[str, Json]
+"""What a run was made from, and what it wrote."""
 PACKAGES = ("repro", "repro_board", "repro_companion")
 SOURCES = ("src", "notebooks", "data", "requirements.lock")
 """What the numbers of a page depend on; the tables that pages write, in results/, are none of it."""
@@ -41,7 +45,7 @@ KINDS = {
     "list": 'a list, such as [1, 2] or ["a", "b"]',
     "dict": 'a dictionary, such as {"a": 1}',
 }
-READERS: dict[str, Callable[[str], Any]] = {
+READERS: dict[str, Callable[[str], Json]] = {
     "int": int,
     "float": float,
     "str": str,
@@ -75,7 +79,7 @@ class Parameter:
         found = _RULE.search(self.meaning)
         return found[1].strip() if found else ""
 
-    def allows(self, value: Any) -> bool:
+    def allows(self, value: Json) -> bool:
         """Return whether the rule allows a value; in a list it holds for each."""
         values = value if self.kind == "list" else [value]
         if self.rule.startswith("one of: "):
@@ -130,28 +134,29 @@ def listing(parameters: Mapping[str, Parameter]) -> str:
     )
 
 
-def chosen(parameters: Mapping[str, Parameter], name: str, owner: str) -> Parameter:
-    """Return the parameter of a name; one that does not exist is refused with the nearest that does."""
-    if name in parameters:
-        return parameters[name]
-    near = difflib.get_close_matches(name, parameters, 1, 0.0)
-    mean = f"; did you mean {near[0]}?\nThe parameters are\n{listing(parameters)}" if near else "."
-    raise InputError(f"{owner} has no parameter {name}{mean}")
+def chosen(
+    parameters: Mapping[str, Parameter], given: Sequence[tuple[str, str]], owner: str
+) -> list[tuple[Parameter, str]]:
+    """Return the given parameters with their texts; one that does not exist is refused with the nearest that does."""
+    found: dict[str, tuple[Parameter, str]] = {}
+    for name, text in given:
+        if name not in parameters:
+            near = difflib.get_close_matches(name, parameters, 1, 0.0)
+            mean = f"; did you mean {near[0]}?\nThe parameters are\n{listing(parameters)}" if near else "."
+            raise InputError(f"{owner} has no parameter {name}{mean}")
+        require(name not in found, f"parameter {name}", owner, "given once", f"{text} as well")
+        found[name] = parameters[name], text
+    return list(found.values())
 
 
 def converted(
     parameters: Mapping[str, Parameter], given: Sequence[tuple[str, str]], owner: str
-) -> dict[str, Any]:
+) -> dict[str, Json]:
     """Return typed texts as values of the declared types, each allowed by its rule."""
-    values: dict[str, Any] = {}
-    for name, text in given:
-        one = chosen(parameters, name, owner)
-        require(name not in values, f"parameter {name}", owner, "given once", f"{text} as well")
-        values[name] = value_of(one, text, owner)
-    return values
+    return {one.name: value_of(one, text, owner) for one, text in chosen(parameters, given, owner)}
 
 
-def value_of(parameter: Parameter, text: str, owner: str) -> Any:
+def value_of(parameter: Parameter, text: str, owner: str) -> Json:
     """Return a typed text as a value of its parameter, or refuse it."""
     kind = parameter.kind
     try:
@@ -166,14 +171,14 @@ def value_of(parameter: Parameter, text: str, owner: str) -> Any:
     return value
 
 
-def are_finite(value: Any) -> bool:
+def are_finite(value: Json) -> bool:
     """Return whether the numbers in a value are finite and none is too large for a float."""
     if isinstance(value, list | dict):
         return all(map(are_finite, value.values() if isinstance(value, dict) else value))
     return not isinstance(value, int | float) or abs(value) < 1e308
 
 
-def typed(value: Any) -> str:
+def typed(value: Json) -> str:
     """Return a value as one types it."""
     return value if isinstance(value, str) else json.dumps(value)
 
@@ -204,7 +209,7 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def combined(content: Any) -> str:
+def combined(content: Json) -> str:
     """Return one SHA-256 of what JSON can hold."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -227,7 +232,7 @@ def inputs_of(root: Path, found: Mapping[str, str] | None = None) -> str:
     return combined([ours, recorded, digest(root / "requirements.lock")])
 
 
-def key_of(notebook: Path, parameters: Mapping[str, Any], inputs: str) -> str:
+def key_of(notebook: Path, parameters: Mapping[str, Json], inputs: str) -> str:
     """Return the key of a run: it changes with anything that the results depend on."""
     return combined([digest(notebook), dict(parameters), inputs])
 
@@ -237,7 +242,7 @@ def record_path(output: Path) -> Path:
     return output.with_name(f"{output.stem}.provenance.json")
 
 
-def read_record(output: Path) -> dict[str, Any] | None:
+def read_record(output: Path) -> Record | None:
     """Return the record of an executed notebook; None where there is none."""
     try:
         return json.loads(record_path(output).read_text(encoding="utf-8"))
@@ -278,13 +283,13 @@ def commit_of(root: Path) -> str:
 
 def run(
     notebook: Path,
-    parameters: Mapping[str, Any],
+    parameters: Mapping[str, Json],
     output: Path,
     results: Path,
     *,
     root: Path,
     progress: bool = False,
-) -> dict[str, Any]:
+) -> Record:
     """Run a notebook and return the record; its output and tables appear when it has finished."""
     import papermill
     from traitlets.config import Config
@@ -352,7 +357,7 @@ def shown(path: Path, start: Path | None = None) -> str:
     return path.relative_to(start).as_posix() if path.is_relative_to(start) else str(path)
 
 
-def _publish(record: dict[str, Any], tables: Path, results: Path, partial: Path, output: Path) -> None:
+def _publish(record: Record, tables: Path, results: Path, partial: Path, output: Path) -> None:
     """Move tables and notebook to their places, the record last; tables of the run before go."""
     before = read_record(output) or {"results": {}}
     record_path(output).unlink(missing_ok=True)
@@ -402,7 +407,7 @@ class Point:
     """One run among several; its places are absolute."""
 
     notebook: Path
-    parameters: dict[str, Any]
+    parameters: dict[str, Json]
     key: str
     output: Path
     results: Path
@@ -439,12 +444,10 @@ def run_point(point: Point) -> tuple[str, float]:
 
 def grid_of(
     parameters: Mapping[str, Parameter], given: Sequence[tuple[str, str]], owner: str
-) -> dict[str, list[Any]]:
+) -> dict[str, list[Json]]:
     """Return the values of each parameter that is swept: 1,2 or, half open, 0:3; [1, 2] is one value."""
-    grid: dict[str, list[Any]] = {}
-    for name, text in given:
-        one = chosen(parameters, name, owner)
-        require(name not in grid, f"parameter {name}", owner, "given once", f"{text} as well")
+    grid: dict[str, list[Json]] = {}
+    for one, text in chosen(parameters, given, owner):
         values = []
         for item in re.findall(
             r"(?:\[[^]]*\]|\{[^}]*\}|[^,\[{])+", text
@@ -453,19 +456,14 @@ def grid_of(
             for each in map(str, range(int(ends[1]), int(ends[2]))) if ends else [item]:
                 bare = one.kind == "list" and not each.startswith("[")
                 values.append(value_of(one, f"[{each}]" if bare else each, owner))
-        require(
-            len(values) == len({*map(typed, values)}) > 0,
-            f"parameter {name}",
-            owner,
-            "values that differ",
-            text,
-        )
-        grid[name] = values
+        differ = len(values) == len({*map(typed, values)}) > 0
+        require(differ, f"parameter {one.name}", owner, "values that differ", text)
+        grid[one.name] = values
     require(grid, "parameters", "repro sweep", "given, each as -p NAME VALUES", "none")
     return grid
 
 
-def points_of(notebook: Path, grid: Mapping[str, Sequence[Any]], folder: Path, root: Path) -> list[Point]:
+def points_of(notebook: Path, grid: Mapping[str, Sequence[Json]], folder: Path, root: Path) -> list[Point]:
     """Return the points of a sweep; the last parameter varies fastest."""
     inputs, points = inputs_of(root), []
     for values in itertools.product(*grid.values()):
@@ -509,17 +507,15 @@ def joined(points: Sequence[Point], folder: Path) -> list[Path]:
 
     parts: dict[str, list[pd.DataFrame]] = {}
     for point in points:
+        own = {
+            name: typed(*value) if isinstance(value, list) and len(value) == 1 else typed(value)
+            for name, value in point.parameters.items()
+        }
         for name in (read_record(point.output) or {"results": {}})["results"] if point.finished else ():
             if name.endswith(".csv") and not name.endswith(".rows.csv"):  # these belong to the scorecard
                 table = pd.read_csv(point.results / name, dtype=str, keep_default_na=False)
-                table = table.rename(columns={column: f"table_{column}" for column in point.parameters})
-                for place, (column, value) in enumerate(point.parameters.items()):
-                    table.insert(
-                        place,
-                        column,
-                        typed(*value) if isinstance(value, list) and len(value) == 1 else typed(value),
-                    )
-                parts.setdefault(name, []).append(table)
+                table = table.rename(columns={column: f"table_{column}" for column in own})
+                parts.setdefault(name, []).append(pd.DataFrame(own, index=table.index).join(table))
     for name, tables in parts.items():
         pd.concat(tables).to_csv(folder / name, index=False, lineterminator="\n")
     return [folder / name for name in parts]

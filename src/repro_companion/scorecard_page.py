@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from itertools import groupby, product
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -33,9 +32,11 @@ REAL = "With the authors' files"
 """Heading of what was computed with these files; only tables with such a number have the column."""
 CAPTION = {"Setting": "setting", "Setting with files": "with_files_setting", "Our method": "best_method"}
 """What the caption of a table of rows says, by its heading."""
-NETWORK_COLUMNS = ["row", "quantity", "unit", "error"]
-NOISE_COLUMNS = ["row", "noise_mt", "method", "error_percent"]
-"""Columns of studies of Tables 2 and 1 that the home page needs; another project may not have them."""
+STUDIES = {
+    "table_1_noise": ["row", "noise_mt", "method", "error_percent"],
+    "table_2_networks": ["row", "quantity", "unit", "error"],
+}
+"""Studies that the home page needs, with the columns that it reads; another project may not have them."""
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -79,10 +80,11 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
         real=found & index["note"].str.contains("recordings where they are found"),
     )
     titles = {page: title(root, page) for page in index["page"].unique()}
-    study = root / "data" / "studies" / "table_1_noise.csv"
-    noise = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NOISE_COLUMNS)
-    study = root / "data" / "studies" / "table_2_networks.csv"
-    networks = pd.read_csv(study) if study.is_file() else pd.DataFrame(columns=NETWORK_COLUMNS)
+    stored = {root / "data" / "studies" / f"{name}.csv": columns for name, columns in STUDIES.items()}
+    noise, networks = (
+        pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=columns)
+        for path, columns in stored.items()
+    )
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     home = findings(card, noise, networks)
     claims = claims_of(root, card, home)
@@ -194,7 +196,7 @@ def rows_page(card: pd.DataFrame, places: Mapping[tuple[str, str], str]) -> str:
     return rendered("rows.md", parts=[_part(rows, places[names]) for names, rows in groups], words=words)
 
 
-def _part(rows: pd.DataFrame, place: str) -> dict[str, Any]:
+def _part(rows: pd.DataFrame, place: str) -> dict[str, object]:
     """Return what the page shows of one table, figure or section."""
     total = rows["kind"].value_counts().reindex(KINDS).dropna()
     plural = {kind: kind.replace("differs", "differ") for kind in KINDS}
@@ -211,7 +213,7 @@ def _part(rows: pd.DataFrame, place: str) -> dict[str, Any]:
     }
 
 
-def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+def _numbers(row: Mapping[str, str]) -> dict[str, object]:
     """Return what the page shows of one row: its numbers, and what is known of it in a second line."""
     unit = "\N{NO-BREAK SPACE}" + words(row["unit"])
     printed = " ± ".join(row[name].replace("-", "−") for name in ("published", "published_std") if row[name])
@@ -236,7 +238,7 @@ def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_spread(row: Mapping[str, Any], name: str, unit: str) -> str:
+def _with_spread(row: Mapping[str, str], name: str, unit: str) -> str:
     """Return a number of a row and its deviation, empty if there is none."""
     numbers = [number(float(row[column])) for column in (name, f"{name}_std") if row[column]]
     return " ± ".join(numbers) + unit if numbers else ""

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,7 +31,7 @@ _TEMPLATES = Environment(
 )
 
 
-def rendered(template: str, **values: Any) -> str:
+def rendered(template: str, **values: object) -> str:
     """Return a template of this package, ``templates/<template>``, filled with values, which are HTML already."""
     return _TEMPLATES.get_template(template).render(values)
 
@@ -40,7 +39,7 @@ def rendered(template: str, **values: Any) -> str:
 _TEMPLATES.filters["fixed"] = lambda value, digits: f"{value:.{digits}f}"
 
 
-def sentences(template: str, **values: Any) -> str:
+def sentences(template: str, **values: object) -> str:
     """Return a paragraph of words: a template filled with values, its lines joined by blanks."""
     lines = _TEMPLATES.from_string(template).render(values).splitlines()
     return " ".join(line.strip() for line in lines if line.strip())
@@ -94,7 +93,7 @@ def ratio_interval(values: np.ndarray, reference: np.ndarray, resamples: int = 1
     return np.quantile(values[again].mean(1) / reference[again].mean(1), [0.025, 0.975], axis=0)
 
 
-def number(value: Any, digits: int = 3) -> str:
+def number(value: object, digits: int = 3) -> str:
     """Return a number with so many significant digits, a whole number exactly, a dash for nothing."""
     if isinstance(value, str):
         return value
@@ -122,7 +121,7 @@ def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: in
     table = frame.rename(columns=dict(names or {})).reset_index(drop=True)
     numeric = [pd.api.types.is_numeric_dtype(table[column]) for column in table]
     sides = {True: "text-align: right", False: "text-align: left"}
-    aligned: dict[Any, Any] = {
+    aligned = {
         column: [{"selector": "", "props": sides[is_number]}]
         for column, is_number in zip(table, numeric, strict=True)
     }

@@ -108,18 +108,6 @@ def test_more_noise_is_twenty_times_as_much_on_the_same_robot():
     assert np.array_equal(more.poses, less.poses)
 
 
-def test_the_study_of_noises_has_all_methods_on_all_robots():
-    study = pd.read_csv(project_folder() / "data" / "studies" / "table_1_noise.csv")
-    assert set(study.groupby(["row", "noise_mt", "method"]).size()) == {20}
-    best = pd.read_csv(project_folder() / "data" / "studies" / "table_1_best.csv")
-    mean = best.groupby(["row", "calibrated", "draw"])["error_percent"].mean()
-    for method, calibrated in (("calibrated", True), ("nominal", False)):
-        own = study[(study["method"] == method) & (study["noise_mt"] == baaij.NOISE_MT)]
-        for name, part in own.groupby("row"):
-            expected = mean[name, calibrated].to_numpy()
-            assert part["error_percent"].to_numpy() == pytest.approx(expected, rel=1e-4)
-
-
 def test_calibration_finds_a_robot_with_errors():
     calibrated, nominal = baaij.errors_of_draw(row("n_b=1"), 0)
     assert calibrated.mean() < 0.5 < 3 < nominal.mean()
@@ -129,15 +117,6 @@ def test_calibration_finds_a_robot_with_errors():
     for errors, known in ((calibrated, True), (nominal, False)):
         expected = old.loc[old["calibrated"] == known, "error_percent"].to_numpy()
         assert errors == pytest.approx(expected, rel=2e-4)
-
-
-def test_the_three_models_have_the_committed_errors():
-    new, old = baaij.models([0]), pd.read_csv(RESULTS / "table_1_models.csv").query("seed == 0")
-    keys = ["model", "solver", "start"]
-    both = new.merge(old, on=keys, suffixes=("", "_old"))
-    assert len(both) == 6
-    for column in ("configuration_percent", "tip_mm", "orientation_deg", "shape_mm"):
-        assert both[column].to_numpy() == pytest.approx(both[f"{column}_old"].to_numpy(), rel=2e-3, abs=1e-9)
 
 
 def errors_table(*errors: tuple[str, str, float]) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -31,16 +30,6 @@ def test_starting_imports_neither_jupyter_nor_torch():
     code = f"import sys, repro_companion.cli, repro_companion.run; sys.exit(str({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == "set()"
-
-
-def test_help_lists_the_commands_in_three_groups():
-    done = repro("--help")
-    assert done.returncode == 0
-    found = re.findall(r"─ (.+?) ─|^│ ([a-z]+) ", done.stdout, re.M)
-    assert [title or name for title, name in found] == [
-        "A robot of your own", "check", "track", "calibrate", "evaluate", "A board on a wire", "record", "live",
-        "export", "emulate", "The book", "run", "sweep", "scorecard", "compare", "fetch", "Help",
-    ]  # fmt: skip
 
 
 def test_an_unknown_command_and_an_unknown_paper_end_with_2():

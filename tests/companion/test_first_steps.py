@@ -55,12 +55,6 @@ def test_the_printed_position_is_right_at_the_tip_only(shown):
     np.testing.assert_allclose(ours[:, [0, 2]] / table[["v"]].to_numpy(), printed, rtol=1e-8)
 
 
-def test_parts_are_those_of_the_committed_table():
-    found = baaij.parts(baaij.robot(1), baaij.planar(1, 70.0))
-    expected = pd.read_csv(ROOT / "results" / "field_one_segment.csv")
-    pd.testing.assert_frame_equal(found, expected, rtol=1e-8, atol=1e-9, check_dtype=False)
-
-
 @pytest.mark.parametrize("n", [1, 2])
 def test_the_field_around_a_robot_is_magpylibs(n):
     robot, q, ring = baaij.robot(n, ring="published"), baaij.planar(n, 30.0), baaij.RINGS["published"]

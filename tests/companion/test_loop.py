@@ -209,39 +209,6 @@ def test_errors_of_a_loop_by_hand():
     np.testing.assert_allclose(table[columns], np.tile([3, 4, 2, 5, 50], (len(table), 1)))
 
 
-def test_sentences_count_and_name_what_occurs():
-    rows = [("PI", 1.3, 9.0), ("PI", 1.0, 9.0), ("high gain", 2.0, 9.0)]
-    names = ["controller", "ratio", "tracking_mm"]
-    truth = pd.DataFrame([("high gain", 1.0, 0.4), ("PI", 1.0, 5.0)], columns=names).assign(estimator="truth")
-    found = pd.DataFrame(rows, columns=names).assign(estimator=loop.INFORMED)
-    ratios = pd.concat([found, truth])
-    assert "2 of 3" in loop.claim(ratios)
-    assert "all of them" in loop.claim(ratios)
-    assert "does not hold" in loop.claim(ratios)
-    assert "0.4 mm" in loop.claim(ratios)
-    assert "claim holds" in loop.claim(pd.concat([found[:2], truth]))
-
-
-def test_the_order_of_the_estimates_is_told_as_it_occurs():
-    names = ["truth", "truth, one sample late", loop.INFORMED, loop.ALONE, loop.FILTER]
-    rows = [
-        (arm, controller, name, k * (1 + 0.01 * (arm != "as modelled" and name == loop.INFORMED)))
-        for arm in loop.ARMS
-        for controller in loop.CONTROLLERS
-        for k, name in enumerate(names)
-    ]
-    means = pd.DataFrame(rows, columns=["session", "controller", "estimator", "tracking_mm"])
-    said = loop.in_words(means)
-    assert "matters less" in said
-    assert f"{loop.INFORMED} 2.0 mm, {loop.ALONE} 3.0 mm, {loop.FILTER} 4.0 mm" in said
-    assert "order stays the same" in said
-    swapped = means.replace({"tracking_mm": {2.02: 5.0}})
-    assert "order changes" in loop.in_words(swapped)
-    assert "from 4.00 to 4.00 mm, but the Kalman filter with command tracks best (2.02 mm)" in (
-        loop.softer_in_words(means)
-    )
-
-
 ERROR, SPAN = np.array([[[0.0, 0.0]], [[0.05, 1.0]]]), np.array([1.0, 10.0])
 COVARIANCE = np.broadcast_to(np.diag([0.02**2, 1.0]), (2, 1, 2, 2))
 TWO_SEEDS = pd.DataFrame({"seed": [0, 1], "session": "a", "n_b": 1, "trajectory": "T2", "estimator": "b"})

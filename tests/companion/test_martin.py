@@ -1,6 +1,7 @@
 """Martin et al.: Table I, the synthetic trial, errors, calibration, released files."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise, product
 
@@ -76,9 +77,8 @@ def test_table_i(given, imus):
     ],
 )  # fmt: skip
 def test_other_arms_are_refused(given, message):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(message)):
         martin.arm(*given)
-    assert message in str(caught.value)
 
 
 def test_the_models_of_the_page_are_those_of_the_library(short):

@@ -123,13 +123,6 @@ def test_the_gain_is_paired():
     assert "is 0.6 % smaller still on Flower, and 7 % on Seagull." in mitchell.gain_in_words(both)
 
 
-@pytest.mark.parametrize(("effective", "words"), [(1.04, "a single one"), (2.7, "at most 2.7 particles")])
-def test_what_a_cloud_is_worth_is_counted_where_there_are_several_segments(effective, words):
-    table = {"unknowns": [3, 6, 9], "1000": [0.1, 4.6, 15], "least squares": [0.1, 0.35, 0.6]}
-    text = mitchell.segments_in_words(pd.DataFrame(table | {"effective": [9.0, 1.0, effective]}))
-    assert f"is worth {words}. Its tip error is 4.6 to 15 mm, and" in text
-
-
 def test_errors_over_time_and_their_summary():
     error = np.array([0.0, 0.0, 3.0])
     table = mitchell.errors_over_time({(mitchell.PRINTED, "spiral"): error, (mitchell.FITS, "flower"): error})

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro.common import InputError
 from repro_companion import show as module
 from repro_companion.show import KEY, number, published, ratio_interval, rows, save, show
 
@@ -91,12 +90,6 @@ def test_a_page_regenerates_a_number_once():
     row = dict.fromkeys(KEY, "a") | {"regenerated": 1.0, "setting": "s"}
     with pytest.raises(ValueError, match="a regenerates a number twice"):
         rows(pd.DataFrame([row, row]), "a")
-
-
-def test_tables_need_a_checkout(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="inside a checkout of the project"):
-        module.project_folder()
 
 
 @pytest.mark.parametrize(

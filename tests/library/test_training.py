@@ -15,10 +15,11 @@ import training
 from safetensors.torch import load_file
 from torch import nn
 from training import save_network
+from training_sets import AffineNetwork
 
 from repro import InputError, LevenbergMarquardt
 from repro.networks import TorchModel, load_network
-from repro_companion.papers import baaij, rig
+from repro_companion.papers import rig
 from scripts import train as script
 
 from .robots import STORED
@@ -188,7 +189,7 @@ def test_an_estimator_takes_a_torch_model():
 @pytest.mark.parametrize(
     ("kind", "name", "origin"),
     [
-        (baaij.AffineNetwork, "affine_sensor4_seed1", ("data_seed",)),
+        (AffineNetwork, "affine_sensor4_seed1", ("data_seed",)),
         (rig.RigNetwork, "rig_sensor2_seed0", ("recording", "recording_seed")),
     ],
 )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -30,8 +30,8 @@ from repro.chain import Place, point_on
 from repro.estimators.base import Estimate
 from repro.networks import Network, load_network
 from repro.tolerances import Tolerances
-from repro_companion.scorecard import kinds
-from repro_companion.show import project_folder, ratio_interval
+from repro_companion.scorecard import COMPARED, kinds
+from repro_companion.show import project_folder, ratio_interval, sentences
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -188,10 +188,9 @@ ROWS = (
 def rows_named(names: Sequence[str] = (), *, repeated: bool = False) -> list[Row]:
     """Return the rows of these names, all when there is none; rows that print a run again only if ``repeated``."""
     known = [row for row in ROWS if repeated or not row.same_as]
-    if wrong := [name for name in names if name not in [row.name for row in known]]:
-        raise ValueError(
-            f"Table 1 has no row {', '.join(wrong)}; it has {', '.join(row.name for row in known)}."
-        )
+    there = [row.name for row in known]
+    if wrong := [name for name in names if name not in there]:
+        raise ValueError(f"Table 1 has no row {', '.join(wrong)}; it has {', '.join(there)}.")
     return [row for row in known if not names or row.name in names]
 
 
@@ -214,7 +213,7 @@ def run_row(
 
 
 def table_1(
-    rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: Any
+    rows: Sequence[Row], seeds: Sequence[int], jobs: int = 0, **options: float
 ) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
     """Return the errors of all rows and seeds, and the configurations found with the first seed, by row."""
     tasks = [delayed(run_row)(row, seed, **options) for row in rows for seed in seeds]
@@ -277,40 +276,38 @@ def scorecard_rows(errors: pd.DataFrame, gains: pd.DataFrame, setting: str) -> p
     return table.assign(best_method=table["best"].map(lambda _: BEST_METHOD, na_action="ignore"))
 
 
+IN_WORDS = """
+**{{ within }} of {{ compared }} distinct numbers agree within three standard errors**,
+{{ better or "none" }} {{ "is" if better == 1 else "are" }} smaller and
+{{ differ or "none" }} {{ "differs" if differ == 1 else "differ" }}.
+{% if weak %}
+For {{ weak }} of the {{ within }} the scatter is so wide that even an error of zero would pass, so their
+agreement says little.
+{% endif %}
+{% if total.cells %}
+Of the {{ total.cells }} relative errors (without six sensors) {{ total.below }} are smaller than published; our
+errors are **{{ total.ratio | fixed(2) }} times the published ones** in the geometric mean.
+{% endif %}
+"""
+
+
 def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     """Return how many numbers of Table 1 agree, and how large our errors are against the published ones."""
-    again = card["row"].isin([row.name for row in ROWS if row.same_as])
-    own = card[~again & card["verdict"].isin(["reproduced", "better", "differs"])]
-    within, total = own["verdict"] == "reproduced", bias.iloc[-1]
-
-    def counted(rows: pd.Series, one: str, many: str) -> str:
-        n = int(rows.sum())
-        return f"{n or 'none'} {one if n == 1 else many}"
-
-    words = (
-        f"**{within.sum()} of {len(own)} distinct numbers agree within three standard errors**,"
-        f" {counted(own['verdict'] == 'better', 'is', 'are')} smaller and"
-        f" {counted(own['verdict'] == 'differs', 'differs', 'differ')}."
-    )
-    if n := int((within & (own["weak"] == "true")).sum()):
-        words += (
-            f" For {n} of the {within.sum()} the scatter is so wide that even an error of zero would pass, so"
-            " their agreement says little."
-        )
-    if total["cells"]:
-        words += (
-            f" Of the {total['cells']} relative errors (without six sensors) {total['below']} are smaller than"
-            f" published; our errors are **{total['ratio']:.2f} times the published ones** in the geometric mean."
-        )
-    return words
+    own = card[~card["row"].isin([row.name for row in ROWS if row.same_as])]
+    counts = {verdict: int((own["verdict"] == verdict).sum()) for verdict in COMPARED}
+    weak = ((own["verdict"] == "reproduced") & (own["weak"] == "true")).sum()
+    said = {"within": counts["reproduced"], "better": counts["better"], "differ": counts["differs"]}
+    return sentences(IN_WORDS, **said, compared=sum(counts.values()), weak=weak, total=bias.iloc[-1])
 
 
 def setting(iterations: int = ITERATIONS, noise_mt: float = 0.0, steps: int = STEPS) -> str:
     """Return what the paper's method was run with: as released, and what is another here."""
-    own = [f"{iterations} evaluations"] * (iterations != ITERATIONS) + [f"noise {noise_mt:g} mT"] * (
-        noise_mt != 0
-    )
-    return "; here ".join([SETTING, *own, *[f"{steps} steps"] * (steps != STEPS)])
+    own = {
+        f"{iterations} evaluations": iterations != ITERATIONS,
+        f"noise {noise_mt:g} mT": noise_mt != 0,
+        f"{steps} steps": steps != STEPS,
+    }
+    return "; here ".join([SETTING, *(words for words, differs in own.items() if differs)])
 
 
 def bias(errors: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
@@ -327,24 +324,16 @@ def bias(errors: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
             printed_std=("std", "first"),
         )
         seed = np.exp(np.log(group["error"] / group["value"]).groupby(group["seed"]).mean())
-        ratio, spread = (
-            np.exp(np.log(x).mean())
-            for x in (cell["mean"] / cell["value"], cell["std"] / cell["printed_std"])
-        )
-        lines.append(
-            (
-                label,
-                len(cell),
-                int((cell["mean"] < cell["value"]).sum()),
-                ratio,
-                seed.min(),
-                seed.max(),
-                spread,
-            )
-        )
-    return pd.DataFrame(
-        lines, columns=["n_b", "cells", "below", "ratio", "lowest_seed", "highest_seed", "std_ratio"]
-    )
+        lines.append({
+            "n_b": label,
+            "cells": len(cell),
+            "below": int((cell["mean"] < cell["value"]).sum()),
+            "ratio": np.exp(np.log(cell["mean"] / cell["value"]).mean()),
+            "lowest_seed": seed.min(),
+            "highest_seed": seed.max(),
+            "std_ratio": np.exp(np.log(cell["std"] / cell["printed_std"]).mean()),
+        })  # fmt: skip
+    return pd.DataFrame(lines)
 
 
 def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs: int = 0) -> pd.DataFrame:
@@ -353,7 +342,7 @@ def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs
     q, folder = lemniscate(1, steps=steps), project_folder() / "data" / "networks"
     u = simulate(robot(1), q)
 
-    def errors(name: str, seed: int) -> list[dict[str, Any]]:
+    def errors(name: str, seed: int) -> list[dict[str, str | float]]:
         file = f"{kinds[name]}_nb1_segment1_seed{seed}.safetensors"
         sensing = Sensing(robot(1), load_network(folder / file) if kinds[name] else None)
         seen = u + noise(noise_mt, seed, *u.shape)
@@ -371,8 +360,8 @@ def models(seeds: Sequence[int], steps: int = STEPS, noise_mt: float = 0.0, jobs
     # Without noise nothing of the series depends on a seed.
     pairs = [(name, s) for name, kind in kinds.items() for s in seeds[: None if kind or noise_mt else 1]]
     tasks = [delayed(errors)(*pair) for pair in pairs]
-    lines: list[Any] = list(Parallel(n_jobs=jobs or -1, prefer="threads")(tasks))
-    return pd.DataFrame([line for of_one in lines for line in of_one])
+    lines = list(Parallel(n_jobs=jobs or -1, prefer="threads")(tasks))
+    return pd.DataFrame([line for of_one in lines for line in of_one or []])
 
 
 def pose_errors(arm: Robot, found: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -552,7 +541,7 @@ def measured_draw(
     q: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
     draw: int,
-    earth_mt: Any = None,
+    earth_mt: np.ndarray | None = None,
     noise_mt: float = NOISE_MT,
 ) -> Session:
     """Return one draw of a robot with errors, measured in poses from a box and along a trajectory."""
@@ -589,7 +578,7 @@ def tips(robot: Robot) -> list[Place]:
 
 
 def configurations(
-    robot: Robot, T: np.ndarray, high: np.ndarray | None = None, start: Any = 0.0
+    robot: Robot, T: np.ndarray, high: np.ndarray | None = None, start: ArrayLike = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the configurations within ``+-high`` that fit measured poses of all tips best, and their covariances."""
     places, high = tips(robot), 2 * bounds(len(robot.segments))[1] if high is None else high
@@ -633,7 +622,6 @@ def errors_of_draw(row: Row, draw: int, noise_mt: float = NOISE_MT) -> list[np.n
 
 # Affine curvature, section 4
 
-AFFINE_STEP_SIZES = (1.0, 5.0, 1.0, 2e-4)
 CURVATURE = (0.3 * math.pi, 1.2 * math.pi)
 """Bounds of the curvatures in the training set, either way [rad]."""
 AFFINE_BOUNDS = (
@@ -793,120 +781,3 @@ def affine_agreement(beside_print: pd.DataFrame) -> str:
         f"Our errors {agree} with the published ones: {', '.join(first)} and {last}, published in brackets."
         + f" For {weak} the agreement is weak." * bool(weak)
     )
-
-
-# Training sets, sections 3.2 and 4.2: the rows that the networks of the paper are trained on
-
-DATA_SEED, SAMPLES = 1, 120_000
-
-
-def uniform_draws(seed: int) -> Callable[..., np.ndarray]:
-    """Return a function ``(low, high, *shape)`` that draws evenly from torch's generator, as the authors' program."""
-    import torch
-
-    generator = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> np.ndarray:
-        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
-
-    return uniform
-
-
-@dataclass(frozen=True)
-class SegmentNetwork:
-    """A network of section 3.2: it predicts the sensors of one segment, counted from 0."""
-
-    n_segments: int
-    segment: int
-    earth: bool
-    seed: int
-    learning_rate: ClassVar[float] = 0.18
-
-    @property
-    def name(self) -> str:
-        """File name without its ending."""
-        kind = "earth" if self.earth else "pcc"
-        return f"{kind}_nb{self.n_segments}_segment{self.segment + 1}_seed{self.seed}"
-
-    def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
-        """Return relations as angles and readings: three rows for each random shape and placement of the sensors."""
-        uniform, n, axis = uniform_draws(DATA_SEED), self.n_segments, None
-        bend = bounds(1)[1][0]
-        bends, longer = uniform(-bend, bend, samples, n, 2), uniform(0.0, bounds(1)[1][2], samples, n, 1)
-        turn = uniform(0.0, 2 * math.pi / 3, samples)
-        tilt, radial = np.zeros(samples), np.full(samples, SENSOR_RADIAL)
-        if self.earth:
-            axis = uniform(-1.0, 1.0, samples, 3)
-            axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-        else:
-            tilt = uniform(-math.radians(20), math.radians(20), samples)
-            radial = uniform(26e-3 / 3, 52e-3 / 3, samples)
-        q = np.concatenate([bends, longer], axis=-1).reshape(samples, -1)
-        arm = robot(n)
-        own = [sensor for sensor in arm.sensors if sensor.segment == self.segment + 1]
-        return _training_rows(arm, arm, own, q, turn, tilt, radial, axis)
-
-
-@dataclass(frozen=True)
-class AffineNetwork:
-    """A network of section 4.2: it predicts one sensor of the affine robot, counted from 0."""
-
-    sensor: int
-    seed: int
-    learning_rate: ClassVar[float] = 0.15
-
-    @property
-    def name(self) -> str:
-        """File name without its ending."""
-        return f"affine_sensor{self.sensor + 1}_seed{self.seed}"
-
-    def rows(self, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
-        """Return relations as angles and readings; only the readings know of the shift of the magnets."""
-        uniform = uniform_draws(DATA_SEED)
-        high = (*CURVATURE, 2 * math.pi, bounds(1)[1][2])
-        q = np.stack(
-            [uniform(a, b, samples) for a, b in zip((-high[0], -high[1], 0.0, 0.0), high, strict=True)], -1
-        )
-        turn, radial = uniform(0.0, 2 * math.pi / 9, samples), np.full(samples, SENSOR_RADIAL)
-        arm, told = affine_robot(), affine_robot(shift=0.0)
-        return _training_rows(arm, told, [arm.sensors[self.sensor]], q, turn, 0 * radial, radial, None)
-
-
-def trained_networks() -> Iterator[SegmentNetwork | AffineNetwork]:
-    """Yield the 27 networks of Table 1 and the 27 of section 4.4."""
-    robots = ((1, False), (2, False), (3, False), (3, True))
-    yield from (SegmentNetwork(n, k, earth, seed) for n, earth in robots for seed in SEEDS for k in range(n))
-    yield from (AffineNetwork(sensor, seed) for seed in SEEDS for sensor in range(9))
-
-
-def _training_rows(
-    arm: Robot, told: Robot, sensors: Sequence[Sensor], q: np.ndarray, turn: np.ndarray, tilt: np.ndarray,
-    radial: np.ndarray, axis: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return relations to the magnets of ``told``, and readings of ``arm``, whose sensors differ by sample."""
-    parts = [*arm.magnets, *told.magnets, *(point_on(s.segment, s.at) for s in sensors)]
-    places, n_m = [getattr(part, "place", part) for part in parts], len(arm.magnets)
-    north = np.array([[1.0, 0.0, 0.0]]) if axis is None else axis
-    T = np.concatenate([arm.poses(some, places) for some in np.array_split(q, -(-len(q) // 10_000))])
-    xi, u = [], []
-    for sensor, frame in zip(sensors, np.moveaxis(T[:, 2 * n_m :], 1, 0), strict=True):
-        c, s, zero = np.cos(turn + sensor.azimuth), np.sin(turn + sensor.azimuth), 0 * turn
-        o = np.stack([-np.sin(tilt) * c, -np.sin(tilt) * s, -np.cos(tilt)], -1)
-        o = np.einsum("nij,nj->ni", frame[:, :3, :3], o)
-        at = frame[:, :3, 3] + np.einsum(
-            "nij,nj->ni", frame[:, :3, :3], np.stack([radial * c, radial * s, zero], -1)
-        )
-        relations, B = [_angle(o, north)], 0 * at if axis is None else EARTH_MT * axis
-        for k in range(n_m):
-            R, p = T[:, k, :3, :3], at - T[:, k, :3, 3]
-            B = B + np.einsum("nij,nj->ni", R, RINGS["released"].field(np.einsum("nji,nj->ni", R, p)))
-            p, m = at - T[:, n_m + k, :3, 3], T[:, n_m + k, :3, 2]
-            relations += [np.linalg.norm(p, axis=-1), _angle(o, m), _angle(p, o), _angle(p, m)]
-        xi.append(np.stack(relations, -1))
-        u.append((o * B).sum(-1))
-    rows = np.stack(xi, 1).reshape(-1, 1 + 4 * n_m).astype(np.float32)
-    return rows, np.stack(u, 1).ravel().astype(np.float32)
-
-
-def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1))

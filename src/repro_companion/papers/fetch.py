@@ -15,10 +15,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import BinaryIO
 from urllib.parse import quote, urljoin
 
 from repro.common import InputError, bad_input, require
+from repro_companion.run import project_folder, recordings_folder
 
 FILES = "https://raw.githubusercontent.com"
 LARGE_FILES = "https://media.githubusercontent.com/media"
@@ -122,6 +123,20 @@ def _source(paper: str, about: dict, entry: dict, owner: str) -> Source:
     return Source(paper, path, repository[1], commit, sha256, git_blob, size, large, page, use)
 
 
+def listed_files(paper: str) -> list[Source]:
+    """Return the files of a paper that are listed."""
+    return read_sources(project_folder() / "data" / "sources.json", paper)
+
+
+def states(paper: str) -> dict[str, str]:
+    """Return of each listed file of a paper, by its path, whether it is released, another, or missing here."""
+    places = {source: recordings_folder() / source.name for source in listed_files(paper)}
+    return {
+        source.path: "released" if source.is_at(place) else "another" if place.is_file() else "missing"
+        for source, place in places.items()
+    }
+
+
 def listing(sources: Sequence[Source], folder: Path) -> str:
     """Return for each paper how many files there are and where they come from, and a line for each use of them."""
     lines = []
@@ -130,8 +145,8 @@ def listing(sources: Sequence[Source], folder: Path) -> str:
         origin = f"github.com/{files[0].repository} at {files[0].commit[:7]}"
         here = sum(source.is_at(folder / source.name) for source in files)
         lines.append(f"{paper}: {amount(files)}, {here} here; from {origin}")
-        for (page, use), group in groupby(files, lambda source: (source.page, source.use)):
-            lines.append(f"  {page or 'a study'}: {amount(group)}: {use}")
+        uses = groupby(files, lambda source: (source.page, source.use))
+        lines += [f"  {page or 'a study'}: {amount(group)}: {use}" for (page, use), group in uses]
     return "\n".join(lines)
 
 
@@ -249,7 +264,7 @@ def _receive(address: str, path: Path, most: int) -> str:
     return f"more than {REDIRECTS} redirects"
 
 
-def _written(body: Any, path: Path, most: int) -> str:
+def _written(body: BinaryIO, path: Path, most: int) -> str:
     received = 0
     with path.open("wb") as file:
         # We take what has arrived, however little, so that a server that drips is seen to send something.

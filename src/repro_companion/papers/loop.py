@@ -70,9 +70,9 @@ def temporal_errors(
         fits = alone.step(alone.init(np.broadcast_to(start, (len(q), *start.shape))), u)[1]
         filtered = track(kalman, u, start, rate_hz=RATE_HZ, monitor=None)
         for method, found in zip(METHODS, (fits, filtered), strict=True):
-            columns = temporal_scores(found.q - q, np.asarray(found.covariance), span)
             keys = {"n_b": n_segments, "trajectory": name, "method": method, "seed": list(seeds)}
-            lines.append(pd.DataFrame(keys | columns))
+            scores = temporal_scores(found.q - q, np.asarray(found.covariance), span)
+            lines.append(pd.DataFrame(keys | scores))
     return pd.concat(lines, ignore_index=True)
 
 
@@ -116,11 +116,16 @@ def temporal_gains(table: pd.DataFrame) -> pd.DataFrame:
 
 def one_bend(q: np.ndarray, found: dict[str, tuple[np.ndarray, np.ndarray]]) -> pd.DataFrame:
     """Return the error of the first bend over time and twice its stated deviation [mm], by method."""
-    lines = []
-    for method, (mean, covariance) in found.items():
-        values = {"error_mm": 1e3 * (mean - q)[:, 0], "two_sigma_mm": 2e3 * np.sqrt(covariance[:, 0, 0])}
-        lines.append(pd.DataFrame({"time_s": np.arange(len(q)) / RATE_HZ, "method": method} | values))
-    return pd.concat(lines, ignore_index=True)
+    tables = {
+        method: pd.DataFrame({
+            "time_s": np.arange(len(q)) / RATE_HZ,
+            "method": method,
+            "error_mm": 1e3 * (mean - q)[:, 0],
+            "two_sigma_mm": 2e3 * np.sqrt(covariance[:, 0, 0]),
+        })
+        for method, (mean, covariance) in found.items()
+    }  # fmt: skip
+    return pd.concat(tables.values(), ignore_index=True)
 
 
 # Closing the loop

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation, Slerp
@@ -98,7 +99,7 @@ def at_the_markers(made: Arm) -> Arm:
     return replace(made, markers=markers)
 
 
-def shape(q: np.ndarray, made: Arm, arcs: Any) -> np.ndarray:
+def shape(q: np.ndarray, made: Arm, arcs: ArrayLike) -> np.ndarray:
     """Return positions ``[..., points, 3]`` [m] by the arm's model, from orientations of base and all IMUs."""
     model = pcc_extended if np.any(made.sub_segments) else rigid_body
     return model(made.select(q), made, arcs)
@@ -391,8 +392,8 @@ def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.Da
     parts = []
     for part in ("all", *dict.fromkeys(mode.tolist())):
         median, q3 = np.percentile(error[(mode == part) | (part == "all")], [50, 75], axis=0)
-        columns = {"mode": part, "arc_mm": 1e3 * np.array([*arcs]), "median_mm": median, "q75_mm": q3}
-        parts.append(pd.DataFrame(columns))
+        places = {"mode": part, "arc_mm": 1e3 * np.array([*arcs])}
+        parts.append(pd.DataFrame(places | {"median_mm": median, "q75_mm": q3}))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -434,7 +435,7 @@ TIME_NOTE = (
     "CPU seconds of one core for 8,000 samples; the printed 18 minutes are of another computer, and the times in the "
     "released pcc2.csv span 20.7 min, so replay may be included: no ratio is stated"
 )
-NOTES: dict[Any, str] = {
+NOTES: dict[str | tuple[str, str], str] = {
     "Fig. 3": "read off the figure",
     "Fig. 5": "read off the figure",
     "Section IV-A": "taken for marker M1",
@@ -617,9 +618,9 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
         index="draw", columns=["method", "mode", "point"], values="median_mm", sort=False
     )
     lines = []
-    for method, *where in medians:
-        ours, base = (medians[name, *where].to_numpy() for name in (method, BASELINE))
-        interval = ratio_interval(ours, base, 2000)
-        lines.append((method, *where, ours.mean(), ours.mean() / base.mean(), *interval, len(ours)))
-    columns = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
-    return pd.DataFrame(lines, columns=columns)
+    for method, mode, point in medians:
+        ours, base = (medians[name, mode, point].to_numpy() for name in (method, BASELINE))
+        low, high = ratio_interval(ours, base, 2000)
+        ratio = {"ratio": ours.mean() / base.mean(), "ratio_low": low, "ratio_high": high, "draws": len(ours)}
+        lines.append({"method": method, "mode": mode, "point": point, "median_mm": ours.mean()} | ratio)
+    return pd.DataFrame(lines)

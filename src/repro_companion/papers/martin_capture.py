@@ -251,8 +251,8 @@ def marker_errors(found: Recording, chosen: Sequence[Case]) -> pd.DataFrame:
     here = [case for case in chosen if case in errors]
     for case in here:
         quantiles = np.nanpercentile(errors[case], [*martin.QUANTILES.values()], axis=0)
-        for marker, values in zip(("M1", "M2"), quantiles.T, strict=True):
-            lines.append((0, case.figure, case.name, *case[1:], martin.FILES, marker, *values))
+        own = 0, case.figure, case.name, *case[1:], martin.FILES
+        lines += [(*own, *both) for both in (("M1", *quantiles[:, 0]), ("M2", *quantiles[:, 1]))]
     tables = pd.DataFrame(lines, columns=["draw", *martin.KEYS, *martin.QUANTILES])
     others = martin.marker_errors([found.as_evaluated], here)
     return pd.concat([tables, others[others["evaluation"] != martin.FILES]], ignore_index=True)

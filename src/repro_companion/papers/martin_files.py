@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from repro import Arm, pcc_extended
 from repro.common import bad_input, require
-from repro_companion.papers.fetch import read_sources
+from repro_companion.papers.fetch import listed_files, states
 from repro_companion.papers.martin import (
     HALF_TURN,
     ORIGIN,
@@ -63,9 +63,7 @@ def absent() -> list[str]:
 
 def unlike_released() -> list[str]:
     """Return which files that are here are not those that the authors released, by their hashes."""
-    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
-    here = [(source, recordings_folder() / source.name) for source in listed]
-    return [source.path for source, path in here if path.is_file() and not source.is_at(path)]
+    return [path for path, state in states(FOLDER).items() if state == "another"]
 
 
 FILES_HERE = """
@@ -87,8 +85,7 @@ def files_in_words() -> str:
     missing, special = absent(), {CAPTURE: "the motion capture", QUATERNIONS: "the raw quaternions"}
     tables = len(released_chains())
     if len(missing) == tables + 2:
-        listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
-        megabytes = 1e-6 * sum(source.size or 0 for source in listed)
+        megabytes = 1e-6 * sum(source.size or 0 for source in listed_files(FOLDER))
         return (
             f"They are {tables} tables of the models ({megabytes:.0f} MB), the motion capture and the raw quaternions"
             " (sizes not listed)."
@@ -347,10 +344,17 @@ def compared(tables: dict[str, np.ndarray], q: np.ndarray, source: str) -> pd.Da
             chain.arm.sub_segments
         )
         off = np.linalg.norm(made[i] - points[j], axis=-1)[~tied]
-        size = (1e6 * np.median(off), 1e6 * off.max(), 100 * (off <= SAME_M).mean())
-        lines.append((name, len(off), later, int(tied.sum()), *size, source))
-    columns = ["file", "rows", "later", "half_turns", "median_um", "largest_um", "same_percent", "source"]
-    return pd.DataFrame(lines, columns=columns)
+        lines.append({
+            "file": name,
+            "rows": len(off),
+            "later": later,
+            "half_turns": int(tied.sum()),
+            "median_um": 1e6 * np.median(off),
+            "largest_um": 1e6 * off.max(),
+            "same_percent": 100 * (off <= SAME_M).mean(),
+            "source": source,
+        })  # fmt: skip
+    return pd.DataFrame(lines)
 
 
 def tables_compared(synthetic: Trial) -> pd.DataFrame:

@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta, timezone
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from repro import (
@@ -33,9 +34,9 @@ from repro.estimators.particle import BendDisc
 from repro.motion_files import Motion as MotionCapture
 from repro.motion_files import read_motion, undo_exchanges
 from repro_board.lag import search_lag
-from repro_companion.papers.fetch import read_sources
-from repro_companion.run import digest, project_folder, recordings_folder
-from repro_companion.show import number, ratio_interval
+from repro_companion.papers.fetch import listed_files, states
+from repro_companion.run import project_folder, recordings_folder
+from repro_companion.show import number, ratio_interval, sentences
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -60,7 +61,7 @@ def robot(length: float = LENGTH) -> Robot:
     return Robot([arc], [Magnet(CUBE, segment=1, at=length)], [Sensor(segment=0, at=0.0, axes=3)])
 
 
-def bend_vector(angle: Any, direction: Any) -> np.ndarray:
+def bend_vector(angle: np.ndarray | float, direction: np.ndarray | float) -> np.ndarray:
     """Return bend vectors ``[..., 2]`` [rad]; a negative angle bends the other way."""
     return np.stack([angle * np.cos(direction), angle * np.sin(direction)], axis=-1)
 
@@ -96,7 +97,7 @@ def position_errors(found: np.ndarray, truth: np.ndarray, length: float = LENGTH
 
 
 def particle_filter(
-    process_noise_pi: Any, length: float = LENGTH, sigma_mt: float = SIGMA_MT, **how: Any
+    process_noise_pi: ArrayLike, length: float = LENGTH, sigma_mt: float = SIGMA_MT, **how: str | int
 ) -> ParticleFilter:
     """Return the filter of section II, with whatever is changed; several process noises [pi rad] are a batch."""
     width = np.pi * np.asarray(process_noise_pi, dtype=float)[..., None] * np.ones(2)
@@ -123,7 +124,7 @@ class Setting:
     how: tuple[str, ...] = ("best tenth", "multinomial", "random walk")
     """Estimate, resampling and motion of a particle filter, or the name of another method."""
 
-    def method(self, batch: int = 1) -> Any:
+    def method(self, batch: int = 1) -> LevenbergMarquardt | KalmanFilter | ParticleFilter:
         """Return the estimator."""
         bound = np.full(2, LARGEST_BEND)
         if self.how == ("least squares",):
@@ -141,16 +142,9 @@ class Setting:
                 iterations=5,
             )
         sigma = math.sqrt(2) * self.noise_mt or SIGMA_MT
-        estimate, resampling, motion = self.how
-        return particle_filter(
-            np.full(batch, self.process_noise_pi),
-            self.length,
-            sigma,
-            particles=self.particles,
-            estimate=estimate,
-            resampling=resampling,
-            motion=motion,
-        )
+        how = dict(zip(("estimate", "resampling", "motion"), self.how, strict=True))
+        noise_pi = np.full(batch, self.process_noise_pi)
+        return particle_filter(noise_pi, self.length, sigma, particles=self.particles, **how)
 
 
 OURS = ("weighted", "systematic", "constant velocity")
@@ -181,11 +175,12 @@ def follow(
 
 def errors_over_time(errors: dict[tuple[Setting, str], np.ndarray]) -> pd.DataFrame:
     """Return errors ``[t]`` [mm] by setting and curve as one table."""
-    t, tables = times(), []
-    for (setting, name), error in errors.items():
-        run = {"setting": setting.name, "process_noise_pi": setting.process_noise_pi}
-        run |= {"particles": setting.particles}
-        tables.append(pd.DataFrame({"curve": name, "t": t[: len(error)], "error_mm": error, **run}))
+    tables = [
+        pd.DataFrame({"curve": name, "t": times()[: len(error)], "error_mm": error}).assign(
+            setting=setting.name, process_noise_pi=setting.process_noise_pi, particles=setting.particles
+        )
+        for (setting, name), error in errors.items()
+    ]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -212,7 +207,7 @@ def study(seeds: Sequence[int] = STUDY_SEEDS) -> list[tuple[Setting, int]]:
     return tasks + [(replace(PRINTED, name="count", particles=n), seed) for n in counts for seed in few]
 
 
-def study_rows(setting: Setting, seed: int) -> list[tuple[Any, ...]]:
+def study_rows(setting: Setting, seed: int) -> list[tuple[str | float, ...]]:
     """Return the errors of one run of the study, a row for each curve."""
     rmse = np.sqrt((follow(setting, seed) ** 2).mean(axis=0))
     run = (setting.name, setting.process_noise_pi, setting.particles)
@@ -222,7 +217,9 @@ def study_rows(setting: Setting, seed: int) -> list[tuple[Any, ...]]:
 STUDY_COLUMNS = ["setting", "process_noise_pi", "particles", "curve", "seed", "rmse_mm"]
 
 
-def law_mm(process_noise_pi: Any, particles: Any = 1000, length: float = LENGTH) -> Any:
+def law_mm(
+    process_noise_pi: np.ndarray | float, particles: np.ndarray | float = 1000, length: float = LENGTH
+) -> np.ndarray:
     """Return the error [mm] of the best tenth of a cloud much wider than the likelihood, near the straight arc."""
     width = process_noise_pi * math.pi * 1e3 * length / 2
     return math.sqrt(math.log(10 / 9)) * width / np.sqrt(particles / 10)
@@ -323,8 +320,6 @@ UPDATES = "ParticleFilter, N = 1000 [updates/s]"
 # Bend tests and light bulb, section IV: what is in the files
 
 FOLDER = "mitchell2021"
-RECORDED_LENGTH = 13e-3
-"""Length of the arc in the released code for recorded data [m]."""
 MT_PER_UNIT, LARGEST_UNIT = 10.0, 8.192
 """Unit of the files: 1000 steps of 0.01 mT; the components have 14 bits with sign."""
 MODEL_FROM_FILE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
@@ -532,32 +527,33 @@ KINDS_OF_FILES = {
 }
 
 
+FILES = """
+{% if not found %}
+We may not pass the recordings on, so this page was built without them. Its numbers are from a run with 9 of the 12
+takes and two of three repetitions at nominal bends. The first command brings all {{ listed }} files
+({{ megabytes | fixed(0) }} MB). Then the page draws Figs 8 and 9 over time, and computes every number from your copy.
+{% elif missing %}
+Not found: {{ missing | join(", ") }}. {{ checked }} What needs the missing ones stands here as an earlier run found
+it, or not at all. These commands bring them:
+{% else %}
+All {{ listed }} released files are here. {{ checked }}
+{% endif %}
+"""
+COMMAND = "\n\n```bash\n.venv/bin/repro fetch mitchell2021\nmake page P=bend_tests\n```\n"
+
+
 def files_in_words() -> str:
     """Return which of the released recordings are in REPRO_DATA_DIR, and which are not those, by their hashes."""
-    listed = read_sources(project_folder() / "data" / "sources.json", FOLDER)
-    found = {one.path: digest(recordings_folder() / one.name) for one in listed}
-    command = "\n\n```bash\n.venv/bin/repro fetch mitchell2021\nmake page P=bend_tests\n```\n"
-    if not any(found.values()):
-        return (
-            "We may not pass the recordings on, so this page was built without them. Its numbers are from a"
-            " run with 9 of the 12 takes and two of three repetitions at nominal bends. The first command"
-            f" brings all {len(listed)} files"
-            f" ({1e-6 * sum(one.size or 0 for one in listed):.0f} MB). Then the page draws Figs 8 and 9 over time,"
-            f" and computes every number from your copy.{command}"
-        )
-    missing = []
+    found, listed, missing = states(FOLDER), listed_files(FOLDER), []
     for kind, words in KINDS_OF_FILES.items():
-        own = [one for path, one in found.items() if path.startswith(f"{kind}/")]
-        missing += [f"{own.count('')} of {len(own)} files {words}"] if "" in own else []
-    other = [one.path for one in listed if found[one.path] not in ("", one.sha256)]
+        own = [state for path, state in found.items() if path.startswith(f"{kind}/")]
+        missing += [f"{own.count('missing')} of {len(own)} files {words}"] if "missing" in own else []
+    other = [path for path, state in found.items() if state == "another"]
     named = f"**Not the released files: {', '.join(other[:5])}{' and others' * (len(other) > 5)}.**"
     checked = named if other else "What was found has its published checksums."
-    if missing:
-        return (
-            f"Not found: {', '.join(missing)}. {checked} What needs the missing ones stands here as an earlier run"
-            f" found it, or not at all. These commands bring them:{command}"
-        )
-    return f"All {len(listed)} released files are here. {checked}"
+    megabytes = 1e-6 * sum(one.size or 0 for one in listed)
+    told = {"missing": missing, "checked": checked, "listed": len(listed), "megabytes": megabytes}
+    return sentences(FILES, found=set(found.values()) != {"missing"}, **told) + COMMAND * bool(missing)
 
 
 def of_recordings(name: str, computed: pd.DataFrame | None) -> pd.DataFrame:
@@ -590,7 +586,7 @@ class NominalBends(NamedTuple):
     rest: complex
     """The ratio at rest."""
 
-    def of(self, chosen: Any) -> NominalBends:
+    def of(self, chosen: np.ndarray) -> NominalBends:
         """Return some of the files."""
         return NominalBends(*(x[chosen] for x in self[:4]), self.rest)
 
@@ -651,7 +647,7 @@ def nominal_length_mm(bends: NominalBends, length_mm: float) -> float:
 
 
 def nominal_errors(
-    bends: NominalBends, calibrate: Callable[..., complex], invert: Callable[..., Any]
+    bends: NominalBends, calibrate: Callable[..., complex], invert: Callable[..., Sequence[np.ndarray]]
 ) -> pd.DataFrame:
     """Return what nominal bends calibrate, how well, and how well they repeat: of all, and of each direction alone.
 
@@ -752,7 +748,7 @@ def side_by_side(readings: Sequence[np.ndarray]) -> np.ndarray:
 
 def calibrations(
     take: Take, takes: Sequence[Take], bends: NominalBends | None = None
-) -> dict[str, list[Any]]:
+) -> dict[str, list[Take | NominalBends]]:
     """Return what may calibrate a take, by name: other takes, and nominal bends; it is never among them."""
     same = [other for other in takes if other.test == take.test and other is not take]
     others = [other for other in takes if other.test != take.test]
@@ -836,19 +832,21 @@ def bend_errors(runs: Sequence[Run]) -> pd.DataFrame:
     lines = []
     for run in runs:
         truth, off = np.abs(run.take.q), np.abs(run.q) - np.abs(run.take.q)
+        size = np.degrees(truth)
         alike = [other for other in runs if other.name == run.name and other.take.test != run.take.test]
         mean = sum(other.turned.sum() for other in alike) if run.calibration in TURN_UNKNOWN else 1.0
-        turned = np.angle(run.turned / np.exp(1j * np.angle(mean)))
-        line = {"method": run.method, "calibration": run.calibration, "length_mm": run.length_mm}
-        line |= {"name": run.name, "take": run.take.name}
-        for name, (low, high) in BENDS_DEG.items():
-            line[name] = rms_deg(off[(np.degrees(truth) >= low) & (np.degrees(truth) < high)])
-        line["rmse_tilt_z_deg"] = rms_deg(np.abs(run.q) - run.take.tilt_z)
-        line["direction_deg"] = rms_deg(turned)
-        line["within_percent"] = np.nan
-        if run.deviation is not None:
-            line["within_percent"] = 100 * (np.abs(off) <= 2 * run.deviation)[np.isfinite(off)].mean()
-        lines.append(line)
+        within = None if run.deviation is None else (np.abs(off) <= 2 * run.deviation)[np.isfinite(off)]
+        lines.append({
+            "method": run.method,
+            "calibration": run.calibration,
+            "length_mm": run.length_mm,
+            "name": run.name,
+            "take": run.take.name,
+            **{name: rms_deg(off[(size >= low) & (size < high)]) for name, (low, high) in BENDS_DEG.items()},
+            "rmse_tilt_z_deg": rms_deg(np.abs(run.q) - run.take.tilt_z),
+            "direction_deg": rms_deg(np.angle(run.turned / np.exp(1j * np.angle(mean)))),
+            "within_percent": np.nan if within is None else 100 * within.mean(),
+        })  # fmt: skip
     return pd.DataFrame(lines)
 
 

@@ -17,10 +17,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -40,10 +40,10 @@ from repro import (
 )
 from repro.chain import place
 from repro.common import bad_input, require
-from repro.networks import load_network
+from repro.networks import Network, load_network
 from repro.sensing import relations
 from repro_board.lag import search_lag
-from repro_companion.papers.fetch import read_sources
+from repro_companion.papers.fetch import states
 from repro_companion.run import project_folder, recordings_folder
 from repro_companion.scorecard import AUTHORS
 
@@ -422,11 +422,11 @@ def _way_points(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _spiral(t: np.ndarray) -> np.ndarray:
     """Archimedean spiral from zero to the reach, at constant speed."""
 
-    def arc(angle: Any, end: float) -> Any:
+    def arc(angle: np.ndarray | float, end: float) -> np.ndarray:
         return REACH_NM / (2 * end) * (angle * np.sqrt(1 + angle**2) + np.arcsinh(angle))
 
     length = SPEED_NM_PER_S["T4"] * DURATION_S["T4"]
-    end: Any = brentq(lambda x: arc(x, x) - length, 1e-3, 1e6)
+    end = brentq(lambda x: arc(x, x) - length, 1e-3, 1e6)
     angles = np.linspace(0.0, end, 20_001)
     angle = np.interp(SPEED_NM_PER_S["T4"] * t, arc(angles, end), angles)
     return (REACH_NM * angle / end)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -600,6 +600,13 @@ TEST_SHARE = 0.3
 LEARNING_RATE = 5e-5
 
 
+BADGES = {
+    "simulated": "simulated rig",
+    "recorded": "recorded by the authors",
+    "own": "your own recordings",
+}
+
+
 @dataclass(frozen=True)
 class Data:
     """T5.train, and the test part of every trajectory: the whole of T4, the end of the others."""
@@ -607,17 +614,12 @@ class Data:
     train: Recording
     tests: dict[str, Recording]
     source: str
-    """``simulated``, ``recorded`` by the authors, or ``own``: other files under the authors' names."""
+    """One of `BADGES`; ``own`` are other files under the authors' names."""
 
     @property
     def badge(self) -> str:
         """What a table says of its origin."""
-        words = {
-            "simulated": "simulated rig",
-            "recorded": "recorded by the authors",
-            "own": "your own recordings",
-        }
-        return words[self.source]
+        return BADGES[self.source]
 
     @property
     def remarks(self) -> list[str]:
@@ -650,7 +652,7 @@ def load(source: str = "auto") -> Data:
             name: aligned(configurations(read_capture(capture), name), read_readings(sensors), name)
             for name, (capture, sensors) in files.items()
         }
-        source = "recorded" if _released([path for pair in files.values() for path in pair]) else "own"
+        source = "recorded" if set(states("baaij2023").values()) == {"released"} else "own"
     return divided(recordings, source)
 
 
@@ -670,14 +672,7 @@ def _first_of_test(recording: Recording) -> int:
     return math.ceil((len(recording) - 1) * (1 - TEST_SHARE))
 
 
-def _released(paths: Sequence[Path]) -> bool:
-    """Whether all files have the hashes of data/sources.json."""
-    listed = read_sources(project_folder() / "data" / "sources.json", "baaij2023")
-    hashes = {source.sha256 for source in listed}
-    return all(hashlib.sha256(path.read_bytes()).hexdigest() in hashes for path in paths)
-
-
-def networks(data: Data, seed: int) -> list[Any]:
+def networks(data: Data, seed: int) -> list[Network]:
     """Return the networks of the three sensors, trained on T5.train.
 
     Those for the simulated rig are in data/networks. For other recordings ``scripts/train.py`` trains them, a minute
@@ -726,7 +721,7 @@ class RigNetwork:
         return f"rig_sensor{self.sensor + 1}_seed{self.seed}"
 
     @property
-    def origin(self) -> dict[str, Any]:
+    def origin(self) -> dict[str, str | int]:
         """What a manifest says of the recording: its name, its seed, and the hash of the rig's parameters."""
         parameters = hashlib.sha256(json.dumps(vars(RIG), sort_keys=True).encode()).hexdigest()
         return {"recording": "synthetic_T5_train", "recording_seed": 0, "twin_sha256": parameters}
@@ -759,16 +754,15 @@ def errors(
     e_u = np.sqrt(((predicted - u[:, :, None]) ** 2).mean(0)).mean(-1)
     e_q = {name: np.sqrt(((estimate - q[:, :, None]) ** 2).mean(0)) for name, estimate in found.items()}
     lines = []
-    for i, (name, whole) in enumerate(data.tests.items()):
-        for elongation, error in e_q.items():
-            cells = [[("e_u", "mV", e_u[i]), ("e_u", "%", 100 / np.ptp(whole.u) * e_u[i])], []]
-            for k, quantity in enumerate(("delta_x", "delta_y")):
-                share = 100 / np.ptp(whole.q[:, k])
-                cells[1] += [(quantity, "mm", 1e3 * error[i, :, k]), (quantity, "%", share * error[i, :, k])]
-            for part in cells:
-                for seed in range(error.shape[1]):
-                    line = elongation, row_name(name), seed
-                    lines += [(*line, quantity, unit, values[seed]) for quantity, unit, values in part]
+    for (i, (name, whole)), elongation in product(enumerate(data.tests.items()), e_q):
+        of_readings = [("e_u", "mV", e_u[i]), ("e_u", "%", 100 / np.ptp(whole.u) * e_u[i])]
+        of_bend = []
+        for k, quantity in enumerate(("delta_x", "delta_y")):
+            error = e_q[elongation][i, :, k]
+            of_bend += [(quantity, "mm", 1e3 * error), (quantity, "%", 100 / np.ptp(whole.q[:, k]) * error)]
+        for cells, seed in product((of_readings, of_bend), range(e_q[elongation].shape[1])):
+            line = elongation, row_name(name), seed
+            lines += [(*line, quantity, unit, values[seed]) for quantity, unit, values in cells]
     return pd.DataFrame(lines, columns=["elongation", "row", "seed", "quantity", "unit", "error"])
 
 
@@ -867,10 +861,10 @@ def paths(data: Data) -> pd.DataFrame:
     parts = []
     for name, part in data.tests.items():
         q, time_s = (values[: round(60 * RATE_HZ) : 4] for values in (part.q, part.time_s))
-        tip = robot().tip(q)[:, :3, 3]
-        bends = {f"delta_{axis}_mm": 1e3 * q[:, c] for c, axis in enumerate("xy")}
-        tips = {f"tip_{axis}_mm": 1e3 * tip[:, c] for c, axis in enumerate("xyz")}
-        parts.append(pd.DataFrame({"recording": name, "time_s": time_s, **bends, **tips}))
+        mm = 1e3 * np.hstack([q[:, :2], robot().tip(q)[:, :3, 3]])
+        columns = ["delta_x_mm", "delta_y_mm", "tip_x_mm", "tip_y_mm", "tip_z_mm"]
+        about = pd.DataFrame({"recording": name, "time_s": time_s})
+        parts.append(about.join(pd.DataFrame(mm, columns=columns)))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -1017,27 +1011,19 @@ def judgement(study: pd.DataFrame) -> pd.DataFrame:
 
 def claims(printed: pd.DataFrame, lines: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return what the paper says of Table 2, and what its cells and those of tables of errors give [%]."""
-    key, table = (
-        ["row", "quantity", "unit"],
-        {"Table 2": printed.set_index(["row", "quantity", "unit"])["value"]},
-    )
+    key = ["row", "quantity", "unit"]
+    table = {"Table 2": printed.set_index(key)["value"]}
     for name, errors in lines.items():
         table[name] = errors[errors["elongation"] == "known"].groupby(key)["error"].mean()
-    found = {
-        "readings: mean 3.1": {},
-        "readings: 0.6 to 4.6": {},
-        "bend: mean 4.5": {},
-        "bend: 1.9 to 13.6": {},
-    }
-    across_t1 = row_name("T1"), "delta_y", "%"
+    said = ("readings: mean 3.1", "readings: 0.6 to 4.6", "bend: mean 4.5", "bend: 1.9 to 13.6")
+    columns = {"claim": said}
     for name, values in table.items():
-        relative = values[values.index.get_level_values("unit") == "%"].drop([across_t1], errors="ignore")
-        readings = relative.index.get_level_values("quantity") == "e_u"
-        for k, part in enumerate((relative[readings], relative[~readings])):
-            mean, limits = list(found)[2 * k : 2 * k + 2]
-            found[mean][name] = f"{part.mean():.1f}"
-            found[limits][name] = f"{part.min():.1f} to {part.max():.1f}"
-    return pd.DataFrame([{"claim": claim, **values} for claim, values in found.items()])
+        relative = values.xs("%", level="unit").drop([(row_name("T1"), "delta_y")], errors="ignore")
+        parts = relative.xs("e_u", level="quantity"), relative.drop("e_u", level="quantity")
+        columns[name] = [
+            words for x in parts for words in (f"{x.mean():.1f}", f"{x.min():.1f} to {x.max():.1f}")
+        ]
+    return pd.DataFrame(columns)
 
 
 def outside(train: Recording, q: np.ndarray) -> np.ndarray:

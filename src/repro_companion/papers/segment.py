@@ -10,10 +10,11 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from repro import (
@@ -23,6 +24,7 @@ from repro import (
     FreeBody,
     Imu,
     Magnet,
+    Ring,
     Robot,
     Sensor,
     simulated_readings,
@@ -72,7 +74,11 @@ def backbone(robot: Robot, q: np.ndarray, every: int = 1) -> np.ndarray:
 
 
 def rod(
-    bend: np.ndarray, stretch: np.ndarray, force_n: Any, section: float = SECTION, modulus: float = MODULUS
+    bend: np.ndarray,
+    stretch: np.ndarray,
+    force_n: ArrayLike,
+    section: float = SECTION,
+    modulus: float = MODULUS,
 ) -> np.ndarray:
     r"""Return poses ``[t, nodes, 4, 4]`` of a Cosserat rod at rest that is clamped and pulled at its tip.
 
@@ -145,7 +151,7 @@ def built(rng: np.random.Generator, size: float = 1.0) -> Built:
     """Draw a robot whose parts are off by their tolerances, times ``size``."""
     t, n = Tolerances(), lambda *shape: size * rng.standard_normal(shape)
 
-    def magnet(shape: Any, body: int) -> Magnet:
+    def magnet(shape: Ring | Cube, body: int) -> Magnet:
         shape = replace(shape, polarisation_mt=shape.polarisation_mt * (1 + t.moments * float(n())))
         a, b = t.magnet_tilt * n(2)
         axis = [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)]
@@ -262,10 +268,9 @@ def fixed_coordinates(seen: Readings) -> np.ndarray:
 
 def orientations(known: Known, seen: Readings) -> tuple[Rotation, Rotation]:
     """Return how base and tip are turned: the base upright without its IMU, the tip as the base without the other."""
-    ends, missing = [], np.isnan(seen.imus).any(axis=(0, 2))
-    for k in range(2):
-        reading = Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5))
-        ends.append(known.world[k].inv() * reading * known.mounting[k].inv())
+    missing = np.isnan(seen.imus).any(axis=(0, 2))
+    imus = [Rotation.from_quat(np.nan_to_num(seen.imus[:, k], nan=0.5)) for k in range(2)]
+    ends = [known.world[k].inv() * imu * known.mounting[k].inv() for k, imu in enumerate(imus)]
     base = Rotation.identity(len(seen.imus)) if missing[0] else ends[0]
     return base, base if missing[1] else ends[1]
 

@@ -136,10 +136,14 @@ def moved(above: float, radius: float, n_sensors: int = 3) -> Robot:
 
 def places(heights_mm: Sequence[float], radii_mm: Sequence[float], samples: int) -> pd.DataFrame:
     """Return the median deviation of the tip [mm] over random shapes, by noise alone and not calibrated."""
-    rows = []
-    for above, radial in product(heights_mm, radii_mm):
-        check = moved(above / 1e3, radial / 1e3).check(samples=samples)
-        rows.append((above, radial, 1e3 * np.median(check.tip), 1e3 * np.median(check.tip_as_built)))
+    checks = {
+        (above, radial): moved(above / 1e3, radial / 1e3).check(samples=samples)
+        for above, radial in product(heights_mm, radii_mm)
+    }
+    rows = [
+        (*place, 1e3 * np.median(check.tip), 1e3 * np.median(check.tip_as_built))
+        for place, check in checks.items()
+    ]
     return pd.DataFrame(rows, columns=["above_mm", "radial_mm", "noise_mm", "off_mm"])
 
 
@@ -294,26 +298,35 @@ def imu_errors(
     rows = []
     for model, deg, n in product(IMU_MODELS, sensor_deg, counts):
         off = 1e3 * tip_errors(curves, model, n, math.radians(deg), seed)
-        bound = 1e3 * imu_bound(model, n, curves.length, *limits)
-        rule = 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n)
-        known = (np.nan, rule) if deg else (bound, np.nan)
-        rows.append((model, deg, n, math.sqrt((off**2).mean()), off.max(), *known))
-    columns = ["model", "sensor_deg", "n_imus", "rms_mm", "largest_mm", "bound_mm", "rule_mm"]
-    return pd.DataFrame(rows, columns=columns)
+        rows.append({
+            "model": model,
+            "sensor_deg": deg,
+            "n_imus": n,
+            "rms_mm": math.sqrt((off**2).mean()),
+            "largest_mm": off.max(),
+            "bound_mm": np.nan if deg else 1e3 * imu_bound(model, n, curves.length, *limits),
+            "rule_mm": 1e3 * math.radians(deg) * curves.length * math.sqrt(2 / n) if deg else np.nan,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def imus_needed(curves: Curves, limits: tuple[float, float], tolerances: Sequence[float]) -> pd.DataFrame:
     """Return numbers of IMUs by the rule, by the whole bound, and as the curves need them; empty above 64."""
     rows = []
     for model in IMU_MODELS:
-        counts = range(1, LARGEST + 1)
-        worst = np.array([tip_errors(curves, model, n).max() for n in counts])
+        worst = np.array([tip_errors(curves, model, n).max() for n in range(1, LARGEST + 1)])
         bound = np.array([imu_bound(model, n, curves.length, *limits) for n in range(1, 1001)])
-        for tolerance in tolerances:
-            by_rule = imu_rule(model, curves.length, tolerance, *limits)
-            enough = _enough(bound, tolerance), _enough(worst, tolerance)
-            rows.append((model, 1e3 * tolerance, by_rule, *enough))
-    return pd.DataFrame(rows, columns=["model", "tolerance_mm", "by_rule", "by_bound", "by_curves"])
+        rows += [
+            {
+                "model": model,
+                "tolerance_mm": 1e3 * tolerance,
+                "by_rule": imu_rule(model, curves.length, tolerance, *limits),
+                "by_bound": _enough(bound, tolerance),
+                "by_curves": _enough(worst, tolerance),
+            }
+            for tolerance in tolerances
+        ]
+    return pd.DataFrame(rows)
 
 
 def _enough(errors: np.ndarray, tolerance: float) -> float:

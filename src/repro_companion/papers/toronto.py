@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import repro
 from repro.common import bad_input, require
+from repro.estimators.imu import ShapeModel
 from repro.estimators.kalman import smoothed
 from repro.estimators.rod import RodFilter
 from repro_companion.run import digest, project_folder, recordings_folder
@@ -291,7 +292,9 @@ def released(readings: Capture, estimator: str, constants: np.ndarray) -> list[n
     return found
 
 
-def error_rows(name: str, setting: str, estimator: str, errors: Sequence[np.ndarray]) -> list[dict[str, Any]]:
+def error_rows(
+    name: str, setting: str, estimator: str, errors: Sequence[np.ndarray]
+) -> list[dict[str, str | float]]:
     """Return the root mean square error [mm] at every station."""
     return [
         {"trial": name, "setting": setting, "estimator": estimator, "station_mm": 1e3 * arc}
@@ -410,9 +413,15 @@ def floors(
         across = np.hypot(x, y)
         turn = (np.arctan2(across, z) / across)[..., None] * np.stack([-y, x, 0 * z], axis=-1)
         T[..., :3, :3] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
-        for (model, robot), (given, seen) in product(shape_models().items(), SEEN.items()):
-            error = float(unseen_error(robot, T, list(seen)))
-            rows.append({"trial": name, "model": model, "given": given, "error_mm": error})
+        rows += [
+            {
+                "trial": name,
+                "model": model,
+                "given": given,
+                "error_mm": float(unseen_error(robot, T, [*seen])),
+            }
+            for (model, robot), (given, seen) in product(shape_models().items(), SEEN.items())
+        ]
     return pd.DataFrame(rows)
 
 
@@ -431,7 +440,7 @@ def imu_arm(n: int, where: str) -> repro.Arm:
     return repro.Arm(imus, at, [link] * (n - 1), STATIONS, sub_segments=2)
 
 
-IMU_MODELS: dict[str, tuple[Any, str]] = {
+IMU_MODELS: dict[str, tuple[ShapeModel, str]] = {
     "rigid links that end at their IMU": (repro.rigid_body, "end"),
     "rigid links centred on their IMU": (repro.rigid_body, "middle"),
     "PCC-extended, two sub-segments": (repro.pcc_extended, "between"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from magpylib.func import dipole_field
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from repro import Drift, Drifting, Imu, KalmanFilter, Robot, simulated_readings, track
+from repro import Drift, Drifting, Imu, KalmanFilter, Robot, simulated_readings
 from repro.estimators.monitor import INCONSISTENT, Monitor
 from repro.estimators.track import Trajectory
 from repro_companion.papers import baaij, martin
@@ -135,7 +135,6 @@ def foreign_readings(
 
 # Following the robot
 
-METHODS = ("IMU only", "magnets only", "fused", "self-calibrating", "oracle")
 CHANCE, AGREES, CALM_S = 1e-8, 1e-3, 10.0
 """Chance of a false alarm at a row; Hall sensors agree with the IMUs above this chance, and must for so long [s]."""
 SWAYING = Drift("tilt", SWAY, SWAY * math.sqrt(2 / SWAY_S), time_s=SWAY_S)
@@ -158,7 +157,7 @@ def drifts(believed: float = 1.0) -> list[Drift]:
 def kalman_filter(wander: Sequence[Drift]) -> KalmanFilter:
     """Return a filter of the robot; if nothing wanders, the sway of the IMUs counts as white noise."""
     arm, (low, high) = robot(), baaij.bounds(3)
-    sensing: Any = Drifting(arm.sensing(), wander) if wander else arm.sensing()
+    sensing = Drifting(arm.sensing(), wander) if wander else arm.sensing()
     noise = np.repeat([baaij.NOISE_MT, IMU_NOISE if wander else SWAY], 9)
     return KalmanFilter(sensing, low, high, noise, 0.6 * (high - low), 0.5 * (high - low))
 
@@ -225,22 +224,6 @@ def by_minute(run: Run, found: Trajectory) -> pd.DataFrame:
     means = pd.DataFrame({"tip_rmse_percent": np.sqrt(table["square"].mean()), "nees": table["nees"].mean()})
     whole = means.join(table[list(seconds)].sum() * (run.times[1] - run.times[0])).rename_axis("minute")
     return whole.reset_index().assign(minute=lambda x: x["minute"].astype(int) + 1)
-
-
-def minutes_of(seed: int, minutes: float = MINUTES) -> pd.DataFrame:
-    """Return the rows of the study for one run: every method, minute by minute."""
-    run, hall = draw(seed, minutes), np.broadcast_to(np.arange(18) < 9, (round(60 * minutes), 18))
-    length = np.where(np.arange(9) % 3 == 2, START, np.nan)  # which no IMU sees
-    plain = {"mask": ~hall, "known": np.broadcast_to(length, run.q.shape)}, {"mask": hall}, {}
-    found = [
-        *(track(kalman_filter([]), run.readings, START, times=run.times, monitor=None, **x) for x in plain),
-        follow(kalman_filter(drifts()), run),
-        # To know the drift is to have sensors without it.
-        follow(kalman_filter([SWAYING]), draw(seed, minutes, size=0.0)),
-    ]
-    parts = (by_minute(run, x).assign(method=name) for name, x in zip(METHODS, found, strict=True))
-    table = pd.concat(parts, ignore_index=True).assign(twin=seed)
-    return table[["twin", "method", *table.columns[:-2]]]
 
 
 # Tables
