@@ -367,7 +367,7 @@ class Assembly(Chain):
         why[..., :n][silent] = 3
         return why
 
-    def part(self, name: str | int, owner: str) -> int:
+    def part(self, name: object, owner: str) -> int:
         """Return which of ``part_names`` a sensor or IMU is, from 0, by its name or by its number from 1."""
         names, word = list(self.part_names), str(name)
         k = names.index(word) if word in names else int(word) - 1 if word.isdecimal() else -1
