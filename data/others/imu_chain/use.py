@@ -13,7 +13,7 @@ import repro
 DATA = Path(os.environ["REPRO_DATA_DIR"]) / "imu_chain/data/dataset"
 ALONG = Rotation.from_euler("y", 90, degrees=True)  # the IMUs' x points along the links, ours z
 figures = {}
-for trial, mounted in [(k, m) for k in (1, 2) for m in ("rigid", "nonrigid") if (DATA / f"trial{k}").is_dir()]:
+for trial, mounted in [(k, m) for k in (1, 2) for m in ("nonrigid", "rigid") if (DATA / f"trial{k}").is_dir()]:
     capture = pd.read_csv(DATA / f"trial{trial}/omc.csv", comment="#")
     imus = pd.read_csv(DATA / f"trial{trial}/imu_{mounted}.csv", comment="#")
     raw = {(k, s): np.ascontiguousarray(imus.filter(regex=f"seg{k}_{s}")) for k in range(1, 6) for s in ("gyr", "acc")}
