@@ -1,7 +1,7 @@
 """Run what a user writes for the robots of others, and keep the figures: ``python scripts/others.py NAME ...``.
 
-Every folder of ``data/others`` has a ``use.py``. Its figures are written to ``data/studies/others_NAME.csv``, whole or
-not at all, beside the source's own figure and the number of lines. Recordings without a licence are read from
+Every folder of ``data/others`` has a ``use.py``. Its figures are written to ``data/studies/others_NAME.csv``, whole
+or not at all, beside the source's own figure and the number of lines. Recordings without a licence are read from
 ``REPRO_DATA_DIR``; of them only errors are kept.
 """
 

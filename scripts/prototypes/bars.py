@@ -1,6 +1,7 @@
-"""Judge the prototypes on the robots of others: ``REPRO_DATA_DIR=... python scripts/prototypes/bars.py [NAME ...]``.
+"""Judge the prototypes on the robots of others: ``python scripts/prototypes/bars.py [NAME ...]``.
 
-Settings come from the part of each recording that is learned from. Figures go to ``data/studies/others_prototypes.csv``.
+Recordings without a licence lie below ``REPRO_DATA_DIR``. Settings come from the part of each recording that is
+learned from. Figures go to ``data/studies/others_prototypes.csv``.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -53,20 +55,28 @@ def asl_trunk():
         rig = repro.fit_shape(own["arm"], poses[:third], rig=own["first"], fit_rig=True).rig
         clean, status, body, _ = fit(own["arm"], poses, rig=rig)
         for k in range(3):
-            before, after = jumps(poses[:, k, 3:], np.full(len(poses), True)), jumps(poses[:, k, 3:], body != k)
-            rows += [(name, f"body {k + 1}: jumps above 10 deg before", before), (name, f"body {k + 1}: after", after)]
+            before, after = (
+                jumps(poses[:, k, 3:], np.full(len(poses), True)),
+                jumps(poses[:, k, 3:], body != k),
+            )
+            rows += [
+                (name, f"body {k + 1}: jumps above 10 deg before", before),
+                (name, f"body {k + 1}: after", after),
+            ]
             rows.append((name, f"body {k + 1}: frames left out", int((body == k).sum())))
         rows.append((name, "inconsistent frames", int((status == "inconsistent").sum())))
         good = np.flatnonzero(body < 0)
         learn, judge = good[good < third], good[good >= third]
-        learnt = repro.fit_shape(own["arm"], clean[learn], rig=own["first"], fit_rig=True)
+        learnt: Any = repro.fit_shape(own["arm"], clean[learn], rig=own["first"], fit_rig=True)
         lengths = np.array(own["LENGTHS"]) + np.median(learnt.q[:, 2::3], axis=0)
         stiff = repro.Robot([repro.ConstantCurvature(x, 1.0, extensible=False) for x in lengths])
         turned = repro.fit_shape(stiff, poses, rig=learnt.rig, noise=(1e3, 0.01))
         places = [point_on(k, length) for k, length in enumerate(lengths, 1)]
         tips = (learnt.rig.base @ stiff.poses(turned.q, places) @ learnt.rig.bodies)[:, 2, :3, 3]
         off = 1e3 * (poses[:, 2, :3] - tips)
-        model = Learned(turned.q[learn][:: max(1, len(learn) // 500)], off[learn][:: max(1, len(learn) // 500)])
+        model = Learned(
+            turned.q[learn][:: max(1, len(learn) // 500)], off[learn][:: max(1, len(learn) // 500)]
+        )
         error = off[judge] - model(turned.q[judge])
         held, size = inside(error, model.covariance(turned.q[judge]))
         rows.append((name, "tip from orientations, median [mm]", np.median(np.linalg.norm(error, axis=1))))
@@ -89,7 +99,13 @@ def loaded(own, stiff, rig):
     found = repro.fit_shape(stiff, given, rig=rig)
     places = [point_on(k, s.length) for k, s in enumerate(stiff.segments, 1)]
     p = (rig.base @ stiff.poses(found.q, places) @ rig.bodies)[:, 1, :3, 3]
-    rows.append(("200 g", "disc 2 from discs 1 and 3, median [mm]", 1e3 * np.median(np.linalg.norm(p - table[:, 1], axis=1))))
+    rows.append(
+        (
+            "200 g",
+            "disc 2 from discs 1 and 3, median [mm]",
+            1e3 * np.median(np.linalg.norm(p - table[:, 1], axis=1)),
+        )
+    )
     return rows
 
 
@@ -104,7 +120,7 @@ def eflesh():
     held, size = inside(error, C)
     other = model.covariance(pd.read_csv(folder / "pressed.csv").filter(like="uT").to_numpy())
     return [
-        *(("contacts", f"{a}, rms [mm]", x) for a, x in zip("xy", np.sqrt((error**2).mean(0)))),
+        *(("contacts", f"{a}, rms [mm]", x) for a, x in zip("xy", np.sqrt((error**2).mean(0)), strict=True)),
         ("contacts", "90 % ellipses hold [%]", held),
         ("contacts", "longest semi-axis, median [mm]", size),
         ("contacts", "standard deviation of x, median [mm]", np.sqrt(np.median(C[:, 0, 0]))),
@@ -117,7 +133,13 @@ def hall_joint():
     own = used("hall_joint")
     angle, u = own["cycle"](0)
     ten = own["ten"]
-    model = Learned(angle[ten, None], u[ten].mean(1), blocks=10, lengths=(0.5, 1, 1.5, 2, 3), shares=(1e-8, 1e-6, 1e-4, 1e-2))
+    model = Learned(
+        angle[ten, None],
+        u[ten].mean(1),
+        blocks=10,
+        lengths=(0.5, 1, 1.5, 2, 3),
+        shares=(1e-8, 1e-6, 1e-4, 1e-2),
+    )
     noise = np.diag(u[ten].var(1).mean(0)) + np.median(model.covariance(angle[:, None]), axis=0)
     white = np.linalg.inv(np.linalg.cholesky(noise)).T
 
@@ -135,13 +157,21 @@ def hall_joint():
             continue
         truth, u = own["cycle"](number)
         for name, readings in (("means", u.mean(1)), ("single samples", u[:, ::50].reshape(-1, 3))):
-            found = repro.track(method, readings @ white)
+            found: Any = repro.track(method, readings @ white)
             error = found.q[:, 0] - np.repeat(truth, len(readings) // len(truth))
             sd = np.sqrt(found.covariance[:, 0, 0])
             rows.append((f"cycle {number}", f"{name}, rms [deg]", np.sqrt((error**2).mean())))
-            rows.append((f"cycle {number}", f"{name}, within 2 sd [%]", 100 * (np.abs(error) < 2 * sd).mean()))
+            rows.append(
+                (f"cycle {number}", f"{name}, within 2 sd [%]", 100 * (np.abs(error) < 2 * sd).mean())
+            )
             rows.append((f"cycle {number}", f"{name}, sd, median [deg]", np.median(sd)))
-            rows.append((f"cycle {number}", f"{name}, rows consistent [%]", 100 * (found.status == "consistent").mean()))
+            rows.append(
+                (
+                    f"cycle {number}",
+                    f"{name}, rows consistent [%]",
+                    100 * (found.status == "consistent").mean(),
+                )
+            )
     return rows
 
 
@@ -155,7 +185,13 @@ def imu_chain():
         drawn = [[0, 0, x] for x in (0.15, 0.29, 0.29, 0.27)]
         found = calibrate_links(turns[:third:5], joints[:third:5], drawn, along_only=along)
         error = 1e3 * np.linalg.norm(found(turns) - joints, axis=-1)[third:, 3]
-        rows.append((f"trial {own['trial']}, {own['mounted']}", f"{name}: 4th joint, rms [mm]", np.sqrt((error**2).mean())))
+        rows.append(
+            (
+                f"trial {own['trial']}, {own['mounted']}",
+                f"{name}: 4th joint, rms [mm]",
+                np.sqrt((error**2).mean()),
+            )
+        )
     return rows
 
 

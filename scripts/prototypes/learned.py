@@ -8,7 +8,7 @@ rows that were learned it grows.
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -32,8 +32,8 @@ class Learned:
         Number of blocks of consecutive rows that are left out in turn.
     most
         Rows that take part in the choice of length and noise.
-    chosen
-        Which rows are used at all: each of them if not given.
+    lengths, shares
+        Lengths, in standard deviations of the inputs, and shares of noise among which to choose.
     """
 
     def __init__(self, x, y, base=None, *, blocks=3, most=600, lengths=LENGTHS, shares=SHARES):
@@ -45,12 +45,17 @@ class Learned:
         x, rest = x / self.scale, rest - self.middle
         size = np.sqrt((rest**2).mean(0)) + 1e-300
         some = np.unique(np.linspace(0, len(x) - 1, min(len(x), most)).astype(int))
-        best = np.inf
+        tried = {}
         for length, share in product(lengths, shares):
             off = self._left_out(x[some], rest[some], length, share, blocks)
-            score = np.square(off / size).mean()
-            if score < best:
-                best, self.length, self.share = score, length, share
+            parts = np.array_split(np.square(off / size).mean(1), min(blocks, len(some)))
+            tried[length, share] = [part.mean() for part in parts]
+        best = min(tried.values(), key=np.mean)
+        enough = np.mean(best) + np.std(best) / np.sqrt(len(best))
+        # The most cautious of those that are as good as the best within chance: one standard error (Breiman 1984).
+        as_good = [(share, length) for (length, share), score in tried.items() if np.mean(score) <= enough]
+        self.share, self.length = max(as_good)
+        self.tried = {key: float(np.mean(score)) for key, score in tried.items()}
         self.x, self.y = x, rest
         self.off = self._left_out(x, rest, self.length, self.share, blocks)
         C = self.off.T @ self.off / len(self.off) + 1e-12 * np.diag(size**2)
@@ -66,7 +71,7 @@ class Learned:
         off = np.empty_like(y)
         K = np.exp(-cdist(x, x, "sqeuclidean") / (2 * length**2))
         edges = np.linspace(0, len(x), min(blocks, len(x)) + 1).astype(int)
-        for a, b in zip(edges[:-1], edges[1:]):
+        for a, b in pairwise(edges):
             kept = np.r_[0:a, b : len(x)]
             factor = cho_factor(K[np.ix_(kept, kept)] + share * np.eye(len(kept)))
             k = K[a:b, kept]
@@ -77,9 +82,11 @@ class Learned:
         return np.exp(-cdist(a, b, "sqeuclidean") / (2 * self.length**2))
 
     def __call__(self, x):
+        """Return outputs ``[..., m]``."""
         return self.linearise(x)[0]
 
     def linearise(self, x):
+        """Return outputs ``[..., m]`` and slopes ``[..., m, d]``."""
         x = np.asarray(x, float)
         flat = np.atleast_2d(x) / self.scale
         k = self._kernel(flat, self.x)
@@ -94,7 +101,7 @@ class Learned:
         return (u, J) if x.ndim > 1 else (u[0], J[0])
 
     def covariance(self, x):
-        """Return the covariance ``[n, m, m]`` of the outputs at inputs ``[n, d]``: of left-out blocks, and more far away.
+        """Return the covariance ``[n, m, m]`` of the outputs at inputs ``[n, d]``: more where little was learned.
 
         Near rows that were learned it does not shrink: left-out blocks say how well the model does, and a model that
         takes a smooth error for noise would average it away. Far from all rows nothing was learned, and the whole of

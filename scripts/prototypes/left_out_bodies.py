@@ -14,11 +14,12 @@ RARE = 18.4
 
 
 def limit(dof):
+    """Return the chi-square that good readings exceed once in 1e8 rows."""
     return dof + 2 * RARE + 2 * np.sqrt(dof * RARE)
 
 
 def fit(robot, poses, **options):
-    """Return the fitted shapes with bodies left out, the status of every row, and which body was left out (-1: none)."""
+    """Return poses without what was left out, status and body of every row (-1: none), and the typical chi-square."""
     poses = np.array(poses)
     found = repro.fit_shape(robot, poses, **options)
     typical = max(1.0, float(np.median(found.chi2 / np.maximum(found.dof, 1))))

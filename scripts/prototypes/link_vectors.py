@@ -44,7 +44,10 @@ def calibrate_links(turns, joints, drawn, *, tolerance=0.03, noise=0.03, level=0
         return np.concatenate([off.ravel(), z[:3] / level, (z[3 + n :].reshape(n, 3) * held).ravel()])
 
     first = min(
-        (least_squares(residuals, np.r_[np.zeros(3), np.full(n, a), np.zeros(3 * n)]) for a in (-2.0, -0.5, 0.5, 2.0)),
+        (
+            least_squares(residuals, np.r_[np.zeros(3), np.full(n, a), np.zeros(3 * n)])
+            for a in (-2.0, -0.5, 0.5, 2.0)
+        ),
         key=lambda fit: fit.cost,
     )
     return lambda turns: predicted(first.x, turns)

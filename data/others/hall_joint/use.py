@@ -16,7 +16,9 @@ DATA = Path(os.environ["REPRO_DATA_DIR"]) / "hall_joint/data_07102024"
 def cycle(number):
     """Return angles [deg] and readings [angle, sample, axis] in mT."""
     table = pd.read_csv(DATA / f"R{number}_DC0.csv")
-    samples = [np.stack([json.loads(row[axis])[:499] for axis in "xyz"], axis=1) for _, row in table.iterrows()]
+    samples = [
+        np.stack([json.loads(row[axis])[:499] for axis in "xyz"], axis=1) for _, row in table.iterrows()
+    ]
     return table["Angle"].to_numpy(float), 1e3 * np.stack(samples)
 
 

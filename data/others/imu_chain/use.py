@@ -13,15 +13,28 @@ import repro
 DATA = Path(os.environ["REPRO_DATA_DIR"]) / "imu_chain/data/dataset"
 ALONG = Rotation.from_euler("y", 90, degrees=True)  # the IMUs' x points along the links, ours z
 figures = {}
-for trial, mounted in [(k, m) for k in (1, 2) for m in ("nonrigid", "rigid") if (DATA / f"trial{k}").is_dir()]:
+for trial, mounted in [
+    (k, m) for k in (1, 2) for m in ("nonrigid", "rigid") if (DATA / f"trial{k}").is_dir()
+]:
     capture = pd.read_csv(DATA / f"trial{trial}/omc.csv", comment="#")
     imus = pd.read_csv(DATA / f"trial{trial}/imu_{mounted}.csv", comment="#")
-    raw = {(k, s): np.ascontiguousarray(imus.filter(regex=f"seg{k}_{s}")) for k in range(1, 6) for s in ("gyr", "acc")}
-    q = [VQF(1 / 40).updateBatch(raw[k, "gyr"], raw[k, "acc"])["quat6D"][:, [1, 2, 3, 0]] for k in range(1, 6)]
+    raw = {
+        (k, s): np.ascontiguousarray(imus.filter(regex=f"seg{k}_{s}"))
+        for k in range(1, 6)
+        for s in ("gyr", "acc")
+    }
+    q = [
+        VQF(1 / 40).updateBatch(raw[k, "gyr"], raw[k, "acc"])["quat6D"][:, [1, 2, 3, 0]] for k in range(1, 6)
+    ]
     times = np.arange(len(capture)) / 30
     seen = np.flatnonzero(capture.notna().all(axis=1) & (times < (len(imus) - 1) / 40))
-    centre = [capture.filter(regex=f"seg{k}_marker").to_numpy().reshape(-1, 4, 3).mean(1)[seen] for k in range(1, 6)]
-    R = [Rotation.from_quat(capture[[f"seg{k}_quat_{a}" for a in "xyzw"]].to_numpy()[seen]) for k in range(1, 6)]
+    centre = [
+        capture.filter(regex=f"seg{k}_marker").to_numpy().reshape(-1, 4, 3).mean(1)[seen] for k in range(1, 6)
+    ]
+    R = [
+        Rotation.from_quat(capture[[f"seg{k}_quat_{a}" for a in "xyzw"]].to_numpy()[seen])
+        for k in range(1, 6)
+    ]
     joints = []  # where two links meet in the motion capture, as seen from the first link
     for i in range(4):
         A = np.concatenate([R[i].as_matrix(), -R[i + 1].as_matrix()], axis=2).reshape(-1, 6)
@@ -30,7 +43,9 @@ for trial, mounted in [(k, m) for k in (1, 2) for m in ("nonrigid", "rigid") if 
     joints = np.stack(joints, axis=1)
     links = [Slerp(np.arange(len(x)) / 40, Rotation.from_quat(x))(times[seen]) * ALONG for x in q[:4]]
     links = np.stack([x.as_quat() for x in links], axis=1)
-    arm = repro.Arm([1, 2, 3, 4], [0.1, 0.3, 0.6, 0.9], [0.15, 0.29, 0.29, 0.27], markers=[0.15, 0.44, 0.73, 1.0])
+    arm = repro.Arm(
+        [1, 2, 3, 4], [0.1, 0.3, 0.6, 0.9], [0.15, 0.29, 0.29, 0.27], markers=[0.15, 0.44, 0.73, 1.0]
+    )
     third = len(seen) // 3
     found = repro.calibrate_imus(links[:third:5], joints[:third:5], repro.rigid_body, arm, noise=0.03)
     p = repro.rigid_body(repro.calibrated(links, found), arm, arm.markers) + found.translation

@@ -19,7 +19,10 @@ axis = Rotation.from_rotvec(truth[["rx_rad", "ry_rad", "rz_rad"]]).as_matrix()[:
 turned = np.degrees(np.arccos((robot.tip(shape.q)[:, :3, 2] * axis).sum(1)))
 C = shape.covariance[:, :3, :3]
 d2 = np.einsum("ti,tij,tj->t", error, np.linalg.inv(C), error)
-figures = {"position, mean [mm]": 1e3 * np.linalg.norm(error, axis=1).mean(), "axis, mean [deg]": turned.mean()}
+figures = {
+    "position, mean [mm]": 1e3 * np.linalg.norm(error, axis=1).mean(),
+    "axis, mean [deg]": turned.mean(),
+}
 figures["90 % ellipsoids hold [%]"] = 100 * (d2 < 6.25).mean()
 figures["median deviation along an axis [mm]"] = 1e3 * np.sqrt(np.median(C.diagonal(0, 1, 2)))
 figures["rows consistent [%]"] = 100 * (shape.status == "consistent").mean()

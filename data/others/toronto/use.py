@@ -35,12 +35,20 @@ for trial, window in WINDOWS.items():
     u = np.full((len(times), 18), np.nan)  # a row without a reading is predicted
     for part, first in zip(seen, (0, 6, 12, 15)):
         u[np.searchsorted(times, part[:, 0]), first : first + part.shape[1] - 2] = part[:, 2:]
-    for name, found in (("filter", repro.track(arm, u, times=times)), ("smoother", repro.smooth(arm, u, times=times))):
+    for name, found in (
+        ("filter", repro.track(arm, u, times=times)),
+        ("smoother", repro.smooth(arm, u, times=times)),
+    ):
         p, C = arm.positions(found.q, found.covariance, ARCS)
         rows = [np.searchsorted(times, body[:, 0]) for body in bodies]
-        truth = [RigidTransform.from_exp_coords(np.roll(body[:, 2:], 3, axis=1)).translation for body in bodies]
+        truth = [
+            RigidTransform.from_exp_coords(np.roll(body[:, 2:], 3, axis=1)).translation for body in bodies
+        ]
         e = [p[row, k] - x for k, (row, x) in enumerate(zip(rows, truth))]
-        inside = [np.einsum("ti,ti->t", x, np.linalg.solve(C[row, k], x[..., None])[..., 0]) < 6.25 for k, (row, x) in enumerate(zip(rows, e))]
+        inside = [
+            np.einsum("ti,ti->t", x, np.linalg.solve(C[row, k], x[..., None])[..., 0]) < 6.25
+            for k, (row, x) in enumerate(zip(rows, e))
+        ]
         rms = np.mean([1e3 * np.sqrt((x**2).sum(1).mean()) for x in e])
         figures[f"{trial}, {name}, rms [mm]"] = rms
         figures[f"{trial}, {name}, 90 % ellipsoids hold [%]"] = 100 * np.concatenate(inside).mean()
