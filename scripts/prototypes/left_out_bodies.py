@@ -1,7 +1,8 @@
 """Prototype of a status for ``fit_shape``: in a shape that fits badly, the body at fault is left out and counted.
 
-A shape does not fit if its chi-square is above what chance gives once in 1e8 rows, in units of what is typical. Then
-every body is left out in turn. If one of these fits passes, and its chi-square is the smallest, that body is left out.
+A shape does not fit if its chi-square is above what chance gives once in 1e8 rows, in units of what is typical.
+Then every body is left out in turn. If one of these fits passes, and its chi-square is the smallest, that body is
+left out.
 """
 
 from __future__ import annotations
