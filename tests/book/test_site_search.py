@@ -52,6 +52,8 @@ def test_every_table_and_figure_has_an_entry(entry):
         ("how to install", ["index.html"]),
         ("tip error", ["notebooks/own_robot.html"]),
         ("time per step", ["notebooks/live.html"]),
+        ("recordings", ["commands.html"]),
+        ("MLX90393", ["robot_file.html"]),
         ("step size", ["notebooks/table_1.html"]),
     ],
 )
