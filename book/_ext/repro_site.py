@@ -173,6 +173,17 @@ def tidy(app: Sphinx, exception: Exception | None) -> None:
             path.unlink()
 
 
+def name_without_dots(app: Sphinx, exception: Exception | None) -> None:
+    """Let the search find "Fig. 9" where a reader leaves out the dot."""
+    path = Path(app.outdir) / "searchindex.js"
+    if exception is None and path.is_file():
+        before, data, after = re.split(r"(\{.*\})", path.read_text(encoding="utf-8"), maxsplit=1, flags=re.S)
+        index = json.loads(data)
+        named = index["indexentries"]
+        named |= {f"fig {name[5:]}": found for name, found in named.items() if name.startswith("fig. ")}
+        path.write_text(before + json.dumps(index, ensure_ascii=False) + after, encoding="utf-8")
+
+
 def setup(app: Sphinx) -> dict[str, object]:
     """Register the extension."""
     # Jupyter Book sets it, although sphinx_comments is left out
@@ -184,4 +195,5 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("build-finished", add_viewer)
     app.connect("build-finished", cut_icons)
     app.connect("build-finished", tidy)
+    app.connect("build-finished", name_without_dots)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -386,7 +386,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     figure.align_ylabels(panels)
     lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
     line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
-    return with_legend(figure, [*TRUTH_ESTIMATE, lost, line], columns=4, handlelength=1.6)
+    return with_legend(figure, [*TRUTH_ESTIMATE, lost, line], columns=2, handlelength=1.6)
 
 
 TRUTH_ESTIMATE = (
@@ -494,7 +494,7 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
         Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
         for colour, at in zip(FOUR, (0, 100, 200), strict=False)
     ]
-    return with_legend(figure, [*planes, *TRUTH_ESTIMATE], columns=5)
+    return with_legend(figure, [*planes, *TRUTH_ESTIMATE], columns=3)
 
 
 # The rig: Figs 8 to 11 of Baaij et al.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import json
 import re
 import sys
 from pathlib import Path
@@ -106,6 +107,16 @@ def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
         context = {"body": body, "script_files": [script(name) for name in every]}
         site.select_files(None, "page", "page.html", context, None)
         assert context["script_files"] == [f"_static/live/{name}.js" for name in names]
+
+
+def test_the_search_finds_a_figure_without_its_dot(tmp_path):
+    """Beside the entry with it; all else in the index of the search stays."""
+    site = importlib.import_module("repro_site")
+    index = {"docnames": ["a"], "indexentries": {"fig. 9": [[0, "index-0", True]], "figure": []}}
+    (tmp_path / "searchindex.js").write_text(f"Search.setIndex({json.dumps(index)})", encoding="utf-8")
+    site.name_without_dots(SimpleNamespace(outdir=tmp_path), None)
+    index["indexentries"]["fig 9"] = [[0, "index-0", True]]
+    assert (tmp_path / "searchindex.js").read_text() == f"Search.setIndex({json.dumps(index)})"
 
 
 def test_names_in_cells_lead_to_the_reference():

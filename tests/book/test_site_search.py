@@ -47,7 +47,13 @@ def test_every_table_and_figure_has_an_entry(entry):
         ("Table 2", ["notebooks/table_2.html"]),
         ("Table II", ["notebooks/imu_markers.html"]),
         ("Fig. 9", ["notebooks/table_2.html", "notebooks/bend_tests.html"]),
+        ("Fig 9", ["notebooks/table_2.html", "notebooks/bend_tests.html"]),
         ("install", ["index.html"]),
+        ("how to install", ["index.html"]),
+        ("tip error", ["notebooks/own_robot.html"]),
+        ("time per step", ["notebooks/live.html"]),
+        ("recordings", ["commands.html"]),
+        ("MLX90393", ["robot_file.html"]),
         ("step size", ["notebooks/table_1.html"]),
     ],
 )

@@ -96,7 +96,7 @@ def test_the_index_has_one_row_for_everything_and_known_words():
 
 
 def anchors(name: str) -> set[str]:
-    """Return the names of a page's figures, and its headings as links have them."""
+    """Return the names of a page's figures and schematics, and its headings as links have them."""
     notebook = ROOT / f"{name}.ipynb"
     figures = set()
     if notebook.is_file():
@@ -106,6 +106,8 @@ def anchors(name: str) -> set[str]:
     else:
         text = (ROOT / "book" / f"{name}.md").read_text(encoding="utf-8")
     headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    for file in re.findall(r"^:file: .*?(schematics/.+)$", text, flags=re.MULTILINE):
+        figures |= set(re.findall(r'<svg id="(.+?)"', (ROOT / "book" / file).read_text(encoding="utf-8")))
     return figures | {re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-") for heading in headings}
 
 
