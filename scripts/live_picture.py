@@ -1,7 +1,7 @@
 """Take the pictures of what lives on pages: ``python scripts/live_picture.py [CHROMIUM]``.
 
-book/_static/live_page.png is for the page ``live``. It shows ``repro live`` on an emulated board of which a chip freezes,
-so it differs a little each time. The others stand in place of the live figures where there are no scripts,
+book/_static/live_page.png is for the page ``live``. It shows ``repro live`` on an emulated board of which a chip
+freezes, so it differs a little each time. The others stand in place of the live figures where there are no scripts,
 book/_static/live/NAME.png.
 """
 
@@ -41,7 +41,8 @@ PRESSED = {"particles": 3 * 40}
 WIDTH, COLOURS = 700, 96
 PAGE = """<!doctype html><html data-theme="light"><meta charset="utf-8"><link rel="stylesheet" href="live.css">
 <style>:root {{ --pst-color-background: #fff; --pst-color-border: #fff; }} body {{ margin: 0; }}
-.live-handle {{ display: none; }}</style><div class="live-figure" data-live="{name}" style="margin: 0"></div>{scripts}"""
+.live-handle {{ display: none; }} .live-figure {{ margin: 0; }}</style>
+<div class="live-figure" data-live="{name}"></div>{scripts}"""
 
 
 def live_page(browser: Browser) -> None:

@@ -4,7 +4,7 @@
 const { algebra, element, short, randomOf, Figure } = REPRO;
 const { plus, clamp } = algebra;
 const SEGMENTS = 3, EACH = 4, ALL = SEGMENTS * EACH, LENGTH = 0.11, RADIUS = 0.022, AROUND = 0.013, MOMENTS = REPRO.ringMoments(0.024, 0.012, 0.006, 1450, 9);
-const MOMENTS_IN_TIME = 101, BEND = RADIUS * 54 * Math.PI / 180, STRETCH = 6.6e-3, EVALUATIONS = 6;
+const MOMENTS_IN_TIME = 101, BEND = RADIUS * 54 * Math.PI / 180, STRETCH = 6.6e-3, EVALUATIONS = 4;
 const DEFAULTS = { off: "4", from: 5, time: 7.5, noise: 7.1e-4, seed: 1, view: 300 };
 
 const parts = Array.from({ length: SEGMENTS }, (_, segment) => segment);
