@@ -198,6 +198,17 @@ def test_a_descent_rests_only_below_the_limit(figure, step, rests):
         assert now["product"] < now["limit"]
 
 
+def test_a_press_on_the_map_starts_there(figure):
+    page = figure("landscape")
+    handle, canvas = (page.locator(part).bounding_box() for part in (".live-handle", ".live-stage canvas"))
+    x, y = handle["x"] + handle["width"] / 2 + 60, handle["y"] + handle["height"] / 2 - 40
+    page.mouse.click(x, y)
+    state = page.evaluate("document.querySelector('.live-figure').live.state")
+    assert state["x"] / state["y"] == pytest.approx(1.5, rel=0.05)
+    page.mouse.click(canvas["x"] + canvas["width"] - 30, y)  # beside the map
+    assert page.evaluate("document.querySelector('.live-figure').live.state") == state
+
+
 def test_motion_only_on_demand(figure):
     """The course runs when asked to; where motion is unwanted, a press is one step."""
     page = figure("magnets")

@@ -79,7 +79,7 @@ function draw(figure) {
   const theme = figure.colour("sensor");
   if (figure.paintedFor !== theme) Object.assign(figure, { map: painted(figure), paintedFor: theme });
   c.drawImage(figure.map, left, top, size, size);
-  figure.perMm = size / (2 * REACH);
+  Object.assign(figure, { perMm: size / (2 * REACH), middle: at(0, 0) });
   const step = state.step * PUBLISHED, found = descend(state.x, state.y, step, state.momentum, state.evaluations), limit = 2 * (1 + state.momentum);
   if (state.marked) {
     Object.assign(c, { fillStyle: figure.colour("truth"), globalAlpha: 0.5 });
@@ -133,6 +133,10 @@ REPRO.views.landscape = function (box) {
     figure.slider("momentum", "Momentum μ", { min: 0, max: 0.95, step: 0.05, show: (x) => x.toFixed(2) }),
     figure.slider("evaluations", "Evaluations", { min: 1, max: 100 }),
     figure.check("marked", "Mark where γλ is above 2(1 + μ)"));
+  figure.canvas.addEventListener("click", ({ offsetX, offsetY }) => {
+    const [x, y] = [(offsetX - figure.middle[0]) / figure.perMm, (figure.middle[1] - offsetY) / figure.perMm];
+    if (inside(x, y)) figure.set({ x: bound(x), y: bound(y) });
+  });
   const from = (x, y) => () => figure.set({ x, y });
   figure.group("Start", element("div", { class: "live-buttons" },
     figure.button("Straight", from(0, 0)), figure.button("In another valley", from(-8, -8)), figure.button("At the true bend", from(...TRUTH.map(bound)))));
