@@ -84,7 +84,7 @@ function draw(figure) {
 
 function drawErrors(figure, { k, all, left }, place) {
   const of = (found) => found.map(({ off }) => Math.max(off, 1e-9)), x = (time) => place[0] + (place[2] - place[0]) * time / 10;
-  figure.plot(place, [-2, 2], MOMENTS_IN_TIME, { descent: of(all), estimate: of(left) }, "error of the tip [mm], 0 to 10 s; dotted: failure");
+  figure.plot(place, [-2, 3], MOMENTS_IN_TIME, { descent: of(all), estimate: of(left) }, "error of the tip [mm], 0 to 10 s; dotted: failure");
   figure.line([[x(figure.state.from), place[1]], [x(figure.state.from), place[3]]], "text", 1.5, { flat: true, dash: [2, 5] });
   figure.line([[x(timeOf(k)), place[1]], [x(timeOf(k)), place[3]]], "faint", 2, { flat: true });
 }
