@@ -1,10 +1,13 @@
-"""Take the picture on the page ``live``, book/_static/live_page.png: ``python scripts/live_picture.py [CHROMIUM]``.
+"""Take the pictures of what lives on pages: ``python scripts/live_picture.py [CHROMIUM]``.
 
-It shows ``repro live`` on an emulated board of which a chip freezes, so it differs a little each time.
+book/_static/live_page.png is for the page ``live``. It shows ``repro live`` on an emulated board of which a chip
+freezes, so it differs a little each time. The others stand in place of the live figures where there are no scripts,
+book/_static/live/NAME.png.
 """
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 import sys
@@ -13,7 +16,8 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from playwright.sync_api import sync_playwright
+from PIL import Image
+from playwright.sync_api import Browser, sync_playwright
 
 import repro
 from repro_companion.run import project_folder
@@ -22,10 +26,27 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 BOARD = "emulate robot.toml --fault stick 2 --fault-from 8 --port-file board"
 LIVE = "live board --robot robot.toml --browser"
 AFTER_ALARM_MS = 4000
+FIGURES = {
+    "magnets": "start:straight",  # so that the descent is seen beside the true shape
+    "particles": "",
+    "failure": "off:4;8;12",
+    "landscape": "",
+    "imus": "",
+}
+"""Live figures, each with its state in the address."""
+PARTS = ("model", "figure", "landscape_grid")
+"""Scripts that a figure may need, in the order in which they are loaded; its own comes last."""
+PRESSED = {"particles": 3 * 40}
+"""How often the first button is pressed: three times for a step of the filter."""
+WIDTH, COLOURS = 700, 96
+PAGE = """<!doctype html><html data-theme="light"><meta charset="utf-8"><link rel="stylesheet" href="live.css">
+<style>:root {{ --pst-color-background: #fff; --pst-color-border: #fff; }} body {{ margin: 0; }}
+.live-handle {{ display: none; }} .live-figure {{ margin: 0; }}</style>
+<div class="live-figure" data-live="{name}"></div>{scripts}"""
 
 
-def main(chromium: str = "/usr/bin/chromium") -> None:
-    """Start the board and ``repro live``, and wait for the alarm."""
+def live_page(browser: Browser) -> None:
+    """Start the board and ``repro live``, wait for the alarm, and take the picture."""
     folder, command = Path(tempfile.mkdtemp()), str(Path(sys.executable).with_name("repro"))
     (folder / "robot.toml").write_bytes((repro.example() / "robot.toml").read_bytes())
     board = subprocess.Popen([command, *BOARD.split()], cwd=folder, stdout=subprocess.DEVNULL)
@@ -34,20 +55,44 @@ def main(chromium: str = "/usr/bin/chromium") -> None:
     live = subprocess.Popen([command, *LIVE.split()], cwd=folder, stderr=subprocess.PIPE, text=True)
     said: IO[str] | Any = live.stderr
     address = next(found[0] for line in said if (found := re.search(r"http\S+", line)))
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = browser.new_page(viewport={"width": 620, "height": 1200}, color_scheme="light")
-        page.goto(address)
-        page.wait_for_selector("#alarms p")
-        page.wait_for_timeout(AFTER_ALARM_MS)
-        below: Any = page.locator("#numbers-title").bounding_box()
-        page.screenshot(
-            path=project_folder() / "book" / "_static" / "live_page.png",
-            clip={"x": 0, "y": 0, "width": 620, "height": below["y"]},
-        )
+    page = browser.new_page(viewport={"width": 620, "height": 1200}, color_scheme="light")
+    page.goto(address)
+    page.wait_for_selector("#alarms p")
+    page.wait_for_timeout(AFTER_ALARM_MS)
+    below: Any = page.locator("#numbers-title").bounding_box()
+    page.screenshot(
+        path=project_folder() / "book" / "_static" / "live_page.png",
+        clip={"x": 0, "y": 0, "width": 620, "height": below["y"]},
+    )
     for process in (live, board):
         process.terminate()
         process.wait()
+
+
+def still(browser: Browser, name: str) -> None:
+    """Take the picture of a live figure as it is when its page is opened."""
+    folder = project_folder() / "book" / "_static" / "live"
+    page = browser.new_page(viewport={"width": WIDTH, "height": 900})
+    # What lies beside a page from disk may be loaded from there.
+    page.goto(f"{(folder / 'live.css').as_uri()}#{name}={FIGURES[name]}")
+    scripts = "".join(f'<script charset="utf-8" src="{part}.js"></script>' for part in (*PARTS, name))
+    page.set_content(PAGE.format(name=name, scripts=scripts))
+    page.wait_for_function("document.querySelector('.live-figure').live?.dirty === false")
+    press = "times => { for (let k = 0; k < times; k++) document.querySelector('.live-controls button').click(); }"
+    page.evaluate(press, PRESSED.get(name, 0))
+    page.wait_for_timeout(500)
+    taken = Image.open(io.BytesIO(page.locator(".live-stage").screenshot())).convert("RGB")
+    taken.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(folder / f"{name}.png", optimize=True)
+    page.close()
+
+
+def main(chromium: str = "/usr/bin/chromium") -> None:
+    """Take all pictures."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        for name in FIGURES:
+            still(browser, name)
+        live_page(browser)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,8 @@ NOT_SERVED = (
 """What the theme and MathJax bring along and no page loads; MathJax has its parts once more in other bundles."""
 LIVE_FIRST = ("model", "figure")
 """What every live figure is made of, in the order in which it is loaded; its own script comes last."""
+LIVE_DATA = {"landscape": "landscape_grid"}
+"""What a live figure draws and does not compute, by its name."""
 NOTEBOOKS = "notebooks/"
 PLACE = re.compile(r"\{\{\s*([a-z_][\w.]*)\s*\}\}")
 LIVE = re.compile(r'data-live="(\w+)"')
@@ -81,7 +83,8 @@ def select_files(app: Sphinx, pagename: str, templatename: str, context: dict, d
     if 'class="shape-view"' in page:
         kept.append(f"_static/{VIEWER}")
     live = sorted(set(LIVE.findall(page)))
-    kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *live) if live else ())]
+    data = [LIVE_DATA[name] for name in live if name in LIVE_DATA]
+    kept += [f"_static/live/{stem}.js" for stem in ((*LIVE_FIRST, *data, *live) if live else ())]
 
 
 def is_notebook(app: Sphinx, docname: str) -> bool:

@@ -1,13 +1,47 @@
-"""What the pages weigh, listed after the tests that loaded them."""
+"""Pages with one live figure; and what the pages of the site weigh, listed after the tests that loaded them."""
 
 from __future__ import annotations
 
 import csv
+from contextlib import ExitStack
 from pathlib import Path
+
+import pytest
+from page_visit import open_page
 
 LIST = Path(__file__).resolve().parents[2] / "book" / "_build" / "page_weights.csv"
 HEAVIEST = 10
+LIVE = Path(__file__).resolve().parents[2] / "book" / "_static" / "live"
+DATA = {"landscape": ["landscape_grid"]}
+"""Scripts with data that a live figure needs, as the extension of the site has it."""
+PAGE = """<!doctype html><html lang="en" data-theme="light"><meta charset="utf-8"><title>A live figure</title>
+<meta name="viewport" content="width=device-width"><link rel="stylesheet" href="{folder}/live.css">
+<style>:root {{ --pst-color-background: #fff; --pst-color-text-base: #222; --pst-color-primary: #06c; }}</style>
+<main><h1>A live figure</h1>{box}</main>{scripts}"""
 collect_ignore = ["conftest.py"]  # it has no examples to run, and another folder has a module of this name
+
+
+@pytest.fixture
+def figure(browser, tmp_path):
+    """Open a page with one figure, and close it; nothing may be said on the console, and nothing asked outside."""
+    opened, pages = [], ExitStack()
+
+    def show(name: str, address: str = "", *, width: int = 900):
+        parts = ("model", "figure", *DATA.get(name, []), name)
+        scripts = "".join(f'<script src="{LIVE.as_uri()}/{part}.js"></script>' for part in parts)
+        box = f'<div class="live-figure" data-live="{name}"></div>'
+        path = tmp_path / f"{name}.html"
+        path.write_text(PAGE.format(folder=LIVE.as_uri(), box=box, scripts=scripts), encoding="utf-8")
+        opened.append(pages.enter_context(open_page(browser, path.as_uri() + address, width=width)))
+        return opened[-1][0]
+
+    with pages:
+        yield show
+        for page, _ in opened:
+            page.wait_for_timeout(50)
+    for _, seen in opened:
+        assert seen.console == []
+        assert seen.asked_outside() == []
 
 
 def pytest_terminal_summary(terminalreporter) -> None:

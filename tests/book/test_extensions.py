@@ -102,8 +102,13 @@ def test_the_script_of_the_viewer_comes_with_a_view():
 
 def test_the_scripts_of_a_live_figure_come_with_it_and_in_order():
     site = importlib.import_module("repro_site")
-    every = ["live/figure.js", "live/magnets.js", "live/model.js", "live/particles.js"]
-    for body, names in (('<div data-live="magnets">', ["model", "figure", "magnets"]), ("<p>", [])):
+    every = [f"live/{name}.js" for name in ("figure", "landscape", "landscape_grid", "magnets", "model")]
+    cases = {
+        '<div data-live="magnets">': ["model", "figure", "magnets"],
+        '<div data-live="landscape">': ["model", "figure", "landscape_grid", "landscape"],
+        "<p>": [],
+    }
+    for body, names in cases.items():
         context = {"body": body, "script_files": [script(name) for name in every]}
         site.select_files(None, "page", "page.html", context, None)
         assert context["script_files"] == [f"_static/live/{name}.js" for name in names]

@@ -346,7 +346,7 @@ REPRO.views.magnets = function (box_) {
     figure.group("Estimate",
       figure.choice("method", "Bold line", [["lm", "Levenberg-Marquardt"], ["descent", "gradient descent, the paper's steps"]]),
       figure.slider("evaluations", "Evaluations", { min: 2, max: 40 }),
-      figure.choice("start", "Start", [["last", "true shape, then last estimate"], ["straight", "straight pose"]]),
+      figure.choice("start", "Start", [["last", "last estimate"], ["straight", "straight pose"]]),
       figure.check("field", "Field lines"));
   }
   figure.start();
