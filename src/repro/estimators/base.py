@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -161,6 +162,24 @@ def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
     return u
 
 
+class Tuned:
+    """An estimator whose public attributes may be set at any time: what was derived from them is then forgotten.
+
+    Arrays among them are copies that nobody can write to, so that none changes unnoticed.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not name.startswith("_"):
+            if isinstance(value, np.ndarray):
+                value = value.copy()
+                value.setflags(write=False)
+            for kind in type(self).__mro__:
+                for derived, x in vars(kind).items():
+                    if isinstance(x, cached_property):
+                        vars(self).pop(derived, None)
+        object.__setattr__(self, name, value)
+
+
 def robot_of(x: Any) -> Assembly | None:
     """Return the robot of a sensor model or an estimator, if it knows one."""
     return x.robot if isinstance(x, OfRobot) and isinstance(x.robot, Assembly) else None
@@ -248,6 +267,19 @@ def conditioned(x: Array, C: Array, known: Array) -> tuple[Array, Array]:
     off = np.where(given, known - x, 0.0)
     moved = x + (gain @ off[..., None])[..., 0]
     return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)
+
+
+def spread(x: Array, batch: tuple[int, ...], *own: int) -> Array:
+    """Return a copy of what each member of a batch has ``[*batch, *own]``, as kernels take it."""
+    return np.broadcast_to(x, (*batch, *own)).copy() if batch else x.copy()
+
+
+def in_line(batch: tuple[int, ...], *arrays: Array) -> Sequence[Array]:
+    """Return arrays ``[*batch, n, ...]`` with the members one after the other ``[members * n, ...]``, for a kernel.
+
+    Those of a single robot already are: it is reshaped by nobody.
+    """
+    return [x.reshape(-1, *x.shape[len(batch) + 1 :]) for x in arrays] if batch else arrays
 
 
 class CallableModel:
