@@ -209,6 +209,7 @@ def kernel(
         fastmath = {"reassoc", "contract", "nsz"} if reorder else False
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
         options |= {"no_cpython_wrapper": not entry, "no_cfunc_wrapper": True}
+        options["forceinline"] = not (entry or reorder)
         options["nogil"] = entry  # several threads may estimate at a time
         return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:

@@ -183,11 +183,11 @@ def relate(t, j, room):
 
 
 @kernel(reorder=True)
-def _multipoles(t, xi, gradient):
+def _multipoles(moments, xi, gradient):
     """Reading from the moments of all magnets and the Earth's field, and its slopes by the relations."""
     u = xi[0]
     gradient[0] = 1.0
-    for k in range(len(t.moments)):
+    for k in range(len(moments)):
         at = 1 + 4 * k
         inverse, ca, cb, c = 1.0 / xi[at], xi[at + 1], xi[at + 2], xi[at + 3]
         square = inverse * inverse
@@ -195,14 +195,14 @@ def _multipoles(t, xi, gradient):
         by_d = by_a = by_b = by_c = 0.0
         # Legendre polynomials P_n, their first (s) and second (h) slopes, by recurrence.
         p0, p1, s0, s1, h0, h1 = 1.0, c, 0.0, 1.0, 0.0, 0.0
-        for i in range(t.moments.shape[1]):
+        for i in range(moments.shape[1]):
             n = 2 * i + 1
             p2, s2, h2 = (
                 ((2 * n + 1) * c * p1 - n * p0) / (n + 1),
                 s0 + (2 * n + 1) * p1,
                 h0 + (2 * n + 1) * s1,
             )
-            weight = t.moments[k, i] * decay
+            weight = moments[k, i] * decay
             by_a -= weight * s1
             by_b += weight * s2
             by_c += weight * (h2 * cb - h1 * ca)
@@ -312,7 +312,7 @@ def evaluate(t, q, slopes, u_hat, J, room):
     for j in range(n_s):
         relate(t, j, room)
         if t.model == _MULTIPOLES:
-            u = _multipoles(t, room.xi, room.gradient)
+            u = _multipoles(t.moments, room.xi, room.gradient)
         else:
             weights = t.weights[t.network[j]]
             u = predict(t.widths, t.activation, weights, room.xi, slopes, room.gradient, room.nodes)
@@ -383,7 +383,7 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
                 for i in range(len(room.xi)):
                     extra[n, j, i] = room.xi[i]
             elif task == _WRENCHES:
-                u[n, j] = _multipoles(t, room.xi, room.gradient)
+                u[n, j] = _multipoles(t.moments, room.xi, room.gradient)
                 wrenches(t, room)
                 for k in range(len(room.wrenches)):
                     for i in range(6):

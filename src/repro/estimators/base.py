@@ -269,9 +269,9 @@ def conditioned(x: Array, C: Array, known: Array) -> tuple[Array, Array]:
     return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)
 
 
-def spread(x: Array, batch: tuple[int, ...], *own: int) -> Array:
-    """Return a copy of what each member of a batch has ``[*batch, *own]``, as kernels take it."""
-    return np.broadcast_to(x, (*batch, *own)).copy() if batch else x.copy()
+def spread(x: Array, shape: tuple[int, ...]) -> Array:
+    """Return a copy of what each member of a batch has, in the shape of all, as kernels take it."""
+    return x.copy() if x.shape == shape else np.broadcast_to(x, shape).copy()
 
 
 def in_line(batch: tuple[int, ...], *arrays: Array) -> Sequence[Array]:

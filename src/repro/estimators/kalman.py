@@ -35,7 +35,16 @@ from repro.estimators.base import (
     start,
 )
 from repro.estimators.drift import Drifting, DriftModel
-from repro.estimators.least_squares import BOUND, CHI2, TURN, USED, LevenbergMarquardt, cholesky, solve
+from repro.estimators.least_squares import (
+    BOUND,
+    CHI2,
+    MISSING,
+    TURN,
+    USED,
+    LevenbergMarquardt,
+    cholesky,
+    solve,
+)
 
 
 class KalmanState(NamedTuple):
@@ -110,8 +119,8 @@ class MotionModel(Tuned):
         (F, Q), n = self._motions[tau], limits.shape[1]
         m = len(F)
         x, P = (
-            spread(np.concatenate([state.q, state.velocity], axis=-1), batch, m),
-            spread(state.covariance, batch, m, m),
+            spread(np.concatenate([state.q, state.velocity], axis=-1), (*batch, m)),
+            spread(state.covariance, (*batch, m, m)),
         )
         start, information = np.empty((*batch, n)), np.empty((*batch, n, n))
         certain = _predict(F, Q, limits, *in_line(batch, x, P, start, information))
@@ -335,7 +344,7 @@ class KalmanFilter(MotionModel):
         # The prior adds a residual for every coordinate, and the fit uses up one for each that is free.
         dof = n_used + counts[..., BOUND][()]
         C = self.by_bounds(C) if open_ or self.angles else C
-        return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
+        return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, counts[..., MISSING][()], details)
 
     @cached_property
     def _limits(self) -> Array:

@@ -46,9 +46,9 @@ from repro.sensing import difference, evaluate, room_for, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
-_FIELDS = 7
-USED, DOF, BOUND = range(3)
-"""How many readings it used, how many of these the estimate could not adapt itself to, how many bounds stopped it."""
+_FIELDS, _COUNTS = 7, 4
+USED, MISSING, DOF, BOUND = range(4)
+"""How many readings it used and did not; to how many the estimate could not adapt itself; how many bounds stop it."""
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
 """Smallest pivot of the scaled information for which its inverse is taken directly."""
@@ -151,6 +151,11 @@ class LevenbergMarquardt(Tuned):
         return fixed_coordinates(self.lower, self.upper)
 
     @cached_property
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of configuration, readings, covariance and what is said of the fit, of one robot."""
+        return (self.n_q,), (self.model.n_readings,), (self.n_q, self.n_q), (_FIELDS,), (_COUNTS,)
+
+    @cached_property
     def _middle(self) -> Array:
         return (self.lower + self.upper) / 2
 
@@ -209,7 +214,7 @@ class LevenbergMarquardt(Tuned):
         q, u_hat, C, at_bound, status, counts = self.fit(q, u, known, rest=rest)
         q = self.angles.wrapped(q) if self.angles else q
         details = {"iterations": status[..., TURN], "at_bound": at_bound}
-        chi2, dof, missing = status[..., CHI2][()], counts[..., DOF][()], u.shape[-1] - counts[..., USED]
+        chi2, dof, missing = status[..., CHI2][()], counts[..., DOF][()], counts[..., MISSING][()]
         return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, missing, details)
 
     def fit(
@@ -224,26 +229,26 @@ class LevenbergMarquardt(Tuned):
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Return configuration, readings there, covariance, which bounds stop it, and what is said of the fit.
 
-        The latter are numbers ``[..., 7]``, such as ``CHI2``, and counts ``[..., 3]``, such as ``USED``.
+        The latter are numbers ``[..., 7]``, such as ``CHI2``, and counts ``[..., 4]``, such as ``USED``.
 
         ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds
         say is no part of the covariance then, unless ``by_bounds`` says so. What the readings leave open stays next
         to ``rest`` ``[..., n_q]``, the start if not given.
         """
-        n, s, batch = self.n_q, u.shape[-1], batch_of(q, u)
+        n, batch = self.n_q, batch_of(q, u)
+        of_q, of_u, of_C, of_status, of_counts = (
+            self._shapes if not batch else [(*batch, *own) for own in self._shapes]
+        )
         if by_bounds is None:
             by_bounds = self.by_bounds if prior is None else _NOTHING
-        if known is None:
-            held = np.zeros((*batch, n), np.bool_)
-        else:
-            held = spread(~np.isnan(known), batch, n)
+        held = np.zeros(of_q, np.bool_) if known is None else spread(~np.isnan(known), of_q)
+        if known is not None:
             q = np.where(held, known, q)
         mean, information = _NO_PRIOR
         if prior is not None:
-            mean, information = in_line(batch, spread(prior[0], batch, n), spread(prior[1], batch, n, n))
-        rows, found, C = spread(u, batch, s), spread(q, batch, n), np.empty((*batch, n, n))
-        u_hat, at_bound = np.empty((*batch, s)), np.empty((*batch, n), np.bool_)
-        status, counts = np.empty((*batch, _FIELDS)), np.empty((*batch, 3), np.int64)
+            mean, information = in_line(batch, spread(prior[0], of_q), spread(prior[1], of_C))
+        found, rows, C, u_hat = spread(q, of_q), spread(u, of_u), np.empty(of_C), np.empty(of_u)
+        at_bound, status, counts = np.empty(of_q, bool), np.empty(of_status), np.empty(of_counts, int)
         flat = in_line(batch, held, rows, found, C, u_hat, at_bound, status, counts)
         arrays = (self._settings, by_bounds, mean, information, *flat)
         good = _fit(*self.model.packed, *arrays) if self.model.compiled else self._fit_callable(*arrays)
@@ -358,39 +363,43 @@ def _fit(
     hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
     delta, L, good = np.zeros(n), np.zeros((n, n)), True
     for k in range(len(C) // n):
-        at, of, says = (
-            slice(k * n, (k + 1) * n),
-            slice(k * s, (k + 1) * s),
-            status[k * _FIELDS : (k + 1) * _FIELDS],
+        at, of = slice(k * n, (k + 1) * n), slice(k * s, (k + 1) * s)
+        own_mean, own_information, own_held, row, best, best_hat = (
+            mean[at],
+            information[at],
+            held[at],
+            u[of],
+            q[at],
+            u_hat[of],
         )
-        for i in range(_FIELDS):
-            says[i] = 0.0
-        says[CHI2], says[TURN] = math.inf, -1.0
-        x[:] = q[at]
+        says = status[k * _FIELDS : (k + 1) * _FIELDS]
+        _begin(says)
+        for a in range(n):
+            x[a] = best[a]
         while says[_DONE] == 0.0:
             evaluate(t, x, n > 0, hat, J, room)
-            difference(len(t.row_frame), u[of], hat, r, room.T, room.L, room.W)
+            difference(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
             advance(
                 hat,
                 r,
                 J,
                 settings,
-                mean[at],
-                information[at],
-                held[at],
+                own_mean,
+                own_information,
+                own_held,
                 x,
-                q[at],
-                u_hat[of],
+                best,
+                best_hat,
                 A,
                 g,
                 says,
                 delta,
                 L,
             )
-        good = (
-            _finish(settings, by_bounds, A, q[at], held[at], L, C[at], at_bound[at], says, counts[3 * k :])
-            and good
+        end = _finish(
+            settings, by_bounds, A, best, own_held, L, C[at], at_bound[at], says, counts[_COUNTS * k :]
         )
+        good = good and end
     return good
 
 
@@ -419,11 +428,27 @@ def _finish_all(settings, by_bounds, A, q, held, C, at_bound, status, counts):
         at, says = slice(k * n, (k + 1) * n), status[k * _FIELDS : (k + 1) * _FIELDS]
         good = (
             _finish(
-                settings, by_bounds, A[at], q[at], held[at], L, C[at], at_bound[at], says, counts[3 * k :]
+                settings,
+                by_bounds,
+                A[at],
+                q[at],
+                held[at],
+                L,
+                C[at],
+                at_bound[at],
+                says,
+                counts[_COUNTS * k :],
             )
             and good
         )
     return good
+
+
+@kernel
+def _begin(status):
+    for i in range(_FIELDS):
+        status[i] = 0.0
+    status[CHI2], status[TURN] = math.inf, -1.0
 
 
 @kernel
@@ -447,6 +472,7 @@ def _finish(settings, by_bounds, A, q, held, L, C, at_bound, status, counts):
         for a in range(n):
             A[a, a] += by_bounds[a]
     counts[USED] = int(status[_USED])
+    counts[MISSING] = len(settings) - 2 * n - 2 - counts[USED]
     counts[DOF], counts[BOUND] = max(counts[USED] - free, 0), stopped
     status[_DETERMINED] = invert(A, held, L, C) if status[CHI2] < math.inf else 0.0
     return status[_DETERMINED] == 1.0 and status[_WEAK] == 0.0
