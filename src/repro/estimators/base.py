@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -279,7 +280,8 @@ def in_line(batch: tuple[int, ...], *arrays: Array) -> Sequence[Array]:
 
     Those of a single robot already are: it is reshaped by nobody.
     """
-    return [x.reshape(-1, *x.shape[len(batch) + 1 :]) for x in arrays] if batch else arrays
+    n = len(batch) + 1
+    return [x.reshape(math.prod(x.shape[:n]), *x.shape[n:]) for x in arrays] if batch else arrays
 
 
 class CallableModel:
