@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from repro.chain import Frames, frames, turn
-from repro.common import Array, bad_input, kernel, numbers, require, rows_of, say_that_kernels_compile
+from repro.common import Array, bad_input, kernel, numbers, require, rows_of
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.parts import Assembly
@@ -534,7 +534,6 @@ class Sensing:
         """Whether the kernels of estimators know the model; else they call :meth:`linearise`."""
         self.n_q, self.n_readings = robot.n_q, len(rows) + 3 * len(robot.imus)
         self.rotations = robot.rotations
-        say_that_kernels_compile()
 
     def _moments(self, moments: Any, l_max: int) -> Array:
         n_m = len(self.robot.magnets)

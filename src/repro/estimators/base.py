@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from repro.angles import FreeAngles
-from repro.common import Array, array, bad_input, numbers, require, say_that_kernels_compile
+from repro.common import Array, array, bad_input, numbers, require
 from repro.parts import Assembly
 from repro.sensing import Linearised, sensing_of
 
@@ -373,7 +373,6 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
         If it is no callable, fails, or has another number of coordinates than the bounds.
     """
     require(callable(sensing), "sensing", owner, "a callable from q to readings", type(sensing).__name__)
-    say_that_kernels_compile()
     if hasattr(sensing, "compiled"):
         expected = f"bounds of its {sensing.n_q} coordinates"
         require(len(lower) == sensing.n_q, "lower, upper", owner, expected, f"{len(lower)}")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
+from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import Estimate, described, fixed_coordinates, incoming, known_coordinates, start
 from repro.parts import Assembly
 
@@ -270,7 +270,6 @@ class ParticleFilter:
         InputError
             If readings, mask or known coordinates do not fit the filter, or the sensor model takes no batches.
         """
-        say_that_kernels_compile()
         owner, n, n_q = "ParticleFilter", self.particles, self.n_q
         u, known = incoming(u, mask, owner), known_coordinates(known, n_q, owner, self._fixed)
         s, known, holds = u.shape[-1], np.full(n_q, np.nan) if known is None else known, known is not None
