@@ -394,7 +394,7 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
                 wrenches(t, room)
                 pull_back(t, j, t.gain[j], room, J[n])
         if task == _CHAIN_RULE:
-            _orientations(t, True, u[n], J[n], room)
+            _orientations(t, task == _CHAIN_RULE, u[n], J[n], room)
 
 
 @kernel(entry=True, allocates=True)

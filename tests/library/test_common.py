@@ -135,7 +135,6 @@ def test_what_fails_leaves_nothing_and_replaces_nothing(tmp_path):
     assert (tmp_path / "mine").read_text() == "mine"
 
 
-@pytest.mark.slow
 def test_a_process_says_once_that_it_compiles_if_nothing_is_on_disk_and_a_page_never(tmp_path):
     code = "from repro.chain import turn; import numpy as np; "
     code += "turn(0.1, 0.2, 0.3, np.zeros((3, 4)), np.zeros((3, 3))); "

@@ -19,6 +19,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
@@ -184,11 +185,11 @@ class KalmanFilter(MotionModel):
     def __init__(
         self,
         sensing: Any,
-        lower: Any = None,
-        upper: Any = None,
-        noise: Any = None,
-        acceleration: Any = None,
-        velocity: Any = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
@@ -226,7 +227,7 @@ class KalmanFilter(MotionModel):
         rule = ", by the rule of thumb: half of each range" if self._by_rule else ""
         return f"KalmanFilter of {self.n_q} coordinates; process noise {words} [unit/s^1.5]{rule}"
 
-    def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> KalmanState:
         """Return the state at rest at ``q0`` ``[..., n_q]``, else where the robot starts or amid the bounds."""
         bounds = self._update
         middle = (bounds.lower + bounds.upper)[: self.n_q] / 2
@@ -309,7 +310,12 @@ class KalmanFilter(MotionModel):
         return state._replace(q=state.q.clip(self._update.lower, self._update.upper))
 
     def step(
-        self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: KalmanState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[KalmanState, Estimate]:
         """Predict to the time ``t`` [s] and take in ``u``.
 
@@ -474,7 +480,7 @@ def _regress(x, P, q, C, information, gain, new):
             P[a, b] = 0.5 * (C[a, b] + C[b, a])
 
 
-def smoothed(method: MotionModel, states: Sequence[Any], restarted: Any = None) -> list[Any]:
+def smoothed(method: MotionModel, states: Sequence[Any], restarted: Array | None = None) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and

@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
@@ -107,9 +108,9 @@ class LevenbergMarquardt(Tuned):
     def __init__(
         self,
         sensing: Any,
-        lower: Any = None,
-        upper: Any = None,
-        noise: Any = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
@@ -184,7 +185,7 @@ class LevenbergMarquardt(Tuned):
         found.lower, found.upper = self.lower - more, self.upper + more
         return found
 
-    def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> LeastSquaresState:
         """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
         if q0 is None and (self.robot is None or self.robot.start is None):
             return LeastSquaresState(None)
@@ -196,7 +197,12 @@ class LevenbergMarquardt(Tuned):
         return LeastSquaresState(q0)
 
     def step(
-        self, state: LeastSquaresState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: LeastSquaresState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[LeastSquaresState, Estimate]:
         """Minimise from the last estimate.
 
@@ -669,7 +675,7 @@ def invert(A, held, L, C):
             C[a, b] = total / math.sqrt(A[a, a] * A[b, b])
             C[b, a] = C[a, b]
     for a in range(n):
-        if held[a]:
-            C[a, :] = 0.0
-            C[:, a] = 0.0
+        for b in range(n):
+            if held[a] or held[b]:
+                C[a, b] = 0.0
     return 1.0

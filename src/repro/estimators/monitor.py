@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.common import Array
 from repro.estimators.base import Estimate, Watched, chosen, grown, incoming, member, with_member
@@ -153,12 +154,17 @@ class Monitor:
         self._wider = estimator.widened(_WIDER)
         self._blank: dict[str, Any] = {}
 
-    def init(self, q0: Any = None, seed: int = 0) -> MonitorState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> MonitorState:
         """Return the state of the estimator at ``q0``; nothing is held against any part."""
         return MonitorState(self.estimator.init(q0, seed=seed), seed)
 
     def step(
-        self, state: MonitorState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: MonitorState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[MonitorState, Estimate]:
         """Step the estimator, and say whether its estimate explains the readings.
 
@@ -197,7 +203,9 @@ class Monitor:
             return now, found
         return self._doubted(state, now, test)
 
-    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: Any) -> Judgement:
+    def _tested(
+        self, state: MonitorState, found: Estimate, same: Flag | None, known: Array | None
+    ) -> Judgement:
         """Hold chi-square against its bound: that of the row, and fading sums over the rows before."""
         spare = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, missing = found.chi2, found.dof, found.missing
@@ -232,7 +240,7 @@ class Monitor:
                 bad[k] |= again or found.chi2[k] > limit(found.dof[k], _STRICT)
         return bad
 
-    def _compared(self, state: MonitorState, u: Array, t: float, known: Any) -> Frames:
+    def _compared(self, state: MonitorState, u: Array, t: float, known: Array | None) -> Frames:
         """Compare a frame with those before it, and now and then each reading with the last one."""
         alone, last, same, old, since = u.ndim == 1, state.frames, None, 0, t
         bits: Any = u.tobytes() if alone else u.view(np.int64)
