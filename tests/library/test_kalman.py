@@ -318,3 +318,31 @@ def test_an_offset_and_a_heading_are_found_where_the_readings_tell_them():
 def test_what_cannot_wander_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_what_is_set_on_a_used_estimator_holds_from_then_on():
+    """What is derived from an attribute is derived anew, and an array among them cannot be changed unnoticed."""
+
+    def filter_of(acceleration):
+        return KalmanFilter(lambda q: 2 * q, [-9.0, -9.0], [9.0, 9.0], 0.1, acceleration, [1.0, 1.0])
+
+    def fit_of(noise, upper):
+        return LevenbergMarquardt(lambda q: q, [-9.0, -9.0], upper, noise)
+
+    used, new = filter_of([1.0, 1.0]), filter_of([5.0, 2.0])
+    state = used.step(used.init([0.0, 0.0]), [0.1, 0.2], 0.0)[0]
+    used.step(state, [0.3, 0.1], 0.5)
+    used.acceleration = np.array([5.0, 2.0])
+    for mine, other in zip(
+        used.step(state, [0.3, 0.1], 0.5)[0], new.step(state, [0.3, 0.1], 0.5)[0], strict=True
+    ):
+        np.testing.assert_array_equal(mine, other)
+    with pytest.raises(ValueError, match="read-only"):
+        used.acceleration[0] = 1.0
+    fit, other = fit_of(0.1, [9.0, 9.0]), fit_of([0.3, 0.7], [1.0, 9.0])
+    fit.step(fit.init([0.0, 0.0]), [2.0, 2.0])
+    fit.noise, fit.upper = np.array([0.3, 0.7]), np.array([1.0, 9.0])
+    mine, theirs = (x.step(x.init([0.0, 0.0]), [2.0, 2.0])[1] for x in (fit, other))
+    np.testing.assert_array_equal(mine.q, theirs.q)
+    np.testing.assert_array_equal(mine.covariance, theirs.covariance)
+    np.testing.assert_array_equal(fit.by_bounds, other.by_bounds)

@@ -278,7 +278,7 @@ def _positions(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike, owner:
     rows = q.reshape(-1, len(arm.imus), 4).copy()
     p = np.empty((*q.shape[:-2], len(points), 3))
     if not _chain(rows, links, np.array(arm.origin), points.copy(), p.reshape(-1, 3)):
-        unit_quaternions(q, "orientations", owner, q.shape[-2:])
+        unit_quaternions(q, "orientations", owner, (..., *q.shape[-2:]))
     return p
 
 
