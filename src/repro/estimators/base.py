@@ -97,10 +97,13 @@ class Watched(Estimator, Protocol):
     """Whose shape it estimates, if known."""
     n_q: int
     """Number of coordinates."""
-    angles: FreeAngles
-    """Which coordinates come round again."""
     needs_time: bool
     """Whether it predicts by the time since the last row."""
+
+    @property
+    def angles(self) -> FreeAngles:
+        """Which coordinates come round again."""
+        ...
 
     @property
     def bounds(self) -> tuple[Array, Array] | None:

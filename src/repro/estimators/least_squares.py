@@ -189,12 +189,12 @@ class LevenbergMarquardt(Tuned):
         """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
         if q0 is None and (self.robot is None or self.robot.start is None):
             return LeastSquaresState(None)
-        q0 = self.robot.start if q0 is None and self.robot else q0
-        q0, (low, high) = start(q0, self.n_q, "LevenbergMarquardt"), self.limits
-        if ((q0 < low) | (q0 > high)).any():
+        given: Any = self.robot.start if q0 is None and self.robot else q0
+        q, (low, high) = start(given, self.n_q, "LevenbergMarquardt"), self.limits
+        if ((q < low) | (q > high)).any():
             expected = f"within the bounds {low.tolist()} to {high.tolist()}"
-            raise bad_input("q0", "LevenbergMarquardt", expected, q0.tolist())
-        return LeastSquaresState(q0)
+            raise bad_input("q0", "LevenbergMarquardt", expected, q.tolist())
+        return LeastSquaresState(q)
 
     def step(
         self,

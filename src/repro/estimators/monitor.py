@@ -60,7 +60,7 @@ Flag: TypeAlias = bool | np.bool_ | Array
 """A number and a flag of one robot, or of each robot of a batch."""
 
 
-def limit(dof: Number, x: float = _RARE) -> Number:
+def limit(dof: Any, x: float = _RARE) -> Any:
     """Return the chi-square that good readings exceed with a chance of less than exp(-x)."""
     return dof + 2 * x + 2 * x**0.5 * dof**0.5
 
@@ -70,7 +70,7 @@ class Frames(NamedTuple):
 
     bits: tuple[bytes, ...] | Array = ()
     """The last frames, bit for bit; the newest at the end."""
-    same: Flag | None = None
+    same: Any = None
     """Whether one of the last frames came again, or nothing if none did."""
     old: int | Array = 0
     """How many rows in a row held one of the last frames, and the time of the last new one [s]."""
@@ -92,7 +92,7 @@ class Judgement(NamedTuple):
     """Whether the fit uses up all readings."""
     pressed: Flag
     """Whether it fits worse than usual while it touches a bound of the robot."""
-    sums: tuple[Number, ...]
+    sums: tuple[Any, ...]
 
 
 class MonitorState(NamedTuple):
@@ -102,14 +102,14 @@ class MonitorState(NamedTuple):
     seed: int
     row: int = 0
     frames: Frames = Frames()
-    sums: tuple[Number, ...] = (0.0, 0.0, 0.0, 0.0)
+    sums: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0)
     """Sums of chi-square over ten rows and a hundred, and of their degrees of freedom."""
     recent: tuple[Row, ...] = ()
     good: tuple[Array | float, Number] = (np.nan, 0.0)
     """Configuration and time of the last row that fitted."""
     cases: Mapping[tuple[int, ...], Case] = MappingProxyType({})
     """What is known of each robot's alarm."""
-    last: Estimate | None = None
+    last: Any = None
     steps: int = 0
 
 
@@ -203,9 +203,7 @@ class Monitor:
             return now, found
         return self._doubted(state, now, test)
 
-    def _tested(
-        self, state: MonitorState, found: Estimate, same: Flag | None, known: Array | None
-    ) -> Judgement:
+    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: Array | None) -> Judgement:
         """Hold chi-square against its bound: that of the row, and fading sums over the rows before."""
         spare = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, missing = found.chi2, found.dof, found.missing
@@ -240,7 +238,7 @@ class Monitor:
                 bad[k] |= again or found.chi2[k] > limit(found.dof[k], _STRICT)
         return bad
 
-    def _compared(self, state: MonitorState, u: Array, t: float, known: Array | None) -> Frames:
+    def _compared(self, state: MonitorState, u: Array, t: float, known: ArrayLike | None) -> Frames:
         """Compare a frame with those before it, and now and then each reading with the last one."""
         alone, last, same, old, since = u.ndim == 1, state.frames, None, 0, t
         bits: Any = u.tobytes() if alone else u.view(np.int64)
@@ -259,7 +257,7 @@ class Monitor:
         return tuple.__new__(Frames, (frames, same, old, since, still, stuck))
 
     def _again(
-        self, last: Frames, u: Array, bits: bytes | Array, again: Flag, t: float
+        self, last: Frames, u: Array, bits: bytes | Array, again: Any, t: float
     ) -> tuple[Array, Array, Array]:
         """Return which frames add nothing, how many rows in a row were old, and when the last new one came."""
         newest = bits == last.bits[-1] if u.ndim == 1 else (bits == last.bits[-1]).all(-1)
@@ -331,7 +329,6 @@ class Monitor:
         self, state: MonitorState, now: MonitorState, test: Judgement
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
-        assert now.last is not None
         batch, t, same, stuck = now.last.q.shape[:-1], now.good[1], now.frames.same, now.frames.stuck
         said = {name: x.copy() for name, x in self._nothing(batch).items()}
         if np.any(test.bad | test.pressed):

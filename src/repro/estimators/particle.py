@@ -78,9 +78,9 @@ class Box:
     array([ True, False])
     """
 
-    lower: ArrayLike
-    upper: ArrayLike
-    angles: ArrayLike = False
+    lower: Any
+    upper: Any
+    angles: Any = False
 
     def __post_init__(self) -> None:
         lower = numbers(self.lower, "lower", "Box", (None,))

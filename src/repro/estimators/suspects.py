@@ -125,7 +125,7 @@ class Parts:
         """Return the difference of configurations, of angles the shorter way round."""
         return self.estimator.angles.difference(q, other)
 
-    def elsewhere(self, before: Any, good: Array | float) -> Any:
+    def elsewhere(self, before: Any, good: Any) -> Any:
         """Return states to start anew from: where the robot was, and everywhere within the bounds."""
         n = self.estimator.n_q
         if self.bounds is None:

@@ -71,7 +71,7 @@ class Trajectory:
     status: Array | None = None
     suspects: Array | None = None
     readings: Array | None = None
-    robot: Assembly | None = None
+    robot: Any = None
 
     def __repr__(self) -> str:
         """Return three lines."""
