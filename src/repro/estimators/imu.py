@@ -192,7 +192,7 @@ def rigid_body(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Arr
     array([[0.  , 0.  , 0.04],
            [0.08, 0.  , 0.08]])
     """
-    return _positions(orientations, arm, arc_lengths, "rigid_body", arm.links)
+    return _positions(orientations, arm, arc_lengths, "rigid_body")
 
 
 def pcc_extended(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
@@ -230,7 +230,7 @@ def pcc_extended(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> A
     >>> exact_arcs(quarter, arm, 0.64).round(4) + 0.0
     array([[0.4074, 0.    , 0.4074]])
     """
-    return _positions(orientations, arm, arc_lengths, "pcc_extended", arm.links)
+    return _positions(orientations, arm, arc_lengths, "pcc_extended")
 
 
 def exact_arcs(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
@@ -262,10 +262,10 @@ def exact_arcs(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Arr
     >>> exact_arcs(quarter, Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=1), [0.64]).round(4) + 0.0
     array([[0.4074, 0.    , 0.4074]])
     """
-    return _positions(orientations, arm, arc_lengths, "exact_arcs", arm.arcs)
+    return _positions(orientations, arm, arc_lengths, "exact_arcs")
 
 
-def _positions(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike, owner: str, links: Array) -> Array:
+def _positions(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike, owner: str) -> Array:
     """Check what a model is given, and return its positions."""
     between = owner != "rigid_body"
     require(isinstance(arm, Arm), "arm", owner, "an Arm", type(arm).__name__)
@@ -277,6 +277,7 @@ def _positions(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike, owner:
     require(inside, "arc_lengths", owner, f"distances between 0 and {total:g} m, at least one", points)
     rows = q.reshape(-1, len(arm.imus), 4).copy()
     p = np.empty((*q.shape[:-2], len(points), 3))
+    links = arm.arcs if owner == "exact_arcs" else arm.links
     if not _chain(rows, links, np.array(arm.origin), points.copy(), p.reshape(-1, 3)):
         unit_quaternions(q, "orientations", owner, (..., *q.shape[-2:]))
     return p

@@ -131,9 +131,13 @@ class LevenbergMarquardt(Tuned):
         self.model = model_of(sensing, lower, upper, owner)
         self.n_q = len(lower)
 
-    @cached_property
+    @property
     def angles(self) -> FreeAngles:
         """Which coordinates come round again."""
+        return self._angles
+
+    @cached_property
+    def _angles(self) -> FreeAngles:
         return FreeAngles(self.model.rotations, self.lower, self.upper)
 
     @cached_property

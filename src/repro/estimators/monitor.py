@@ -260,7 +260,7 @@ class Monitor:
         self, last: Frames, u: Array, bits: bytes | Array, again: Any, t: float
     ) -> tuple[Array, Array, Array]:
         """Return which frames add nothing, how many rows in a row were old, and when the last new one came."""
-        newest = bits == last.bits[-1] if u.ndim == 1 else (bits == last.bits[-1]).all(-1)
+        newest = bits == last.bits[-1] if u.ndim == 1 else np.all(bits == last.bits[-1], axis=-1)
         same = again & (newest | self._parts.jitters.any()) & ~np.isnan(u).all(-1)
         return same, np.where(same, last.old + 1, 0), np.where(same, last.since, t)
 
