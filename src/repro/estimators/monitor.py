@@ -203,7 +203,7 @@ class Monitor:
             return now, found
         return self._doubted(state, now, test)
 
-    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: Array | None) -> Judgement:
+    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: ArrayLike | None) -> Judgement:
         """Hold chi-square against its bound: that of the row, and fading sums over the rows before."""
         spare = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, missing = found.chi2, found.dof, found.missing
