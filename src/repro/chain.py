@@ -662,7 +662,7 @@ def _all_frames(chain, q, R, p, X):
     """Frames of a batch, and their twists by all coordinates."""
     T, W, J, own = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3)), np.zeros((len(chain.v), 6, 6))
     for n in range(len(q)):
-        frames(chain, q[n], True, R[n], p[n], own, T, W, J)
+        frames(chain, q[n], len(q) > 0, R[n], p[n], own, T, W, J)
         for f in range(len(chain.v)):
             X[n, f] = 0.0
             for g in range(chain.segment[f] + 1):

@@ -204,6 +204,7 @@ def kernel(
         return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates)
     import numba
 
+    _say_when_kernels_compile()
     config: Any = numba.config  # type: ignore[attr-defined]
     before = config.CACHE_DIR
     folder = Path(before) if before else cache_folder() / "numba"
@@ -213,6 +214,8 @@ def kernel(
         fastmath = {"reassoc", "contract", "nsz"} if reorder else False
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
         options |= {"no_cpython_wrapper": not entry, "no_cfunc_wrapper": True}
+        # Tables are many words to hand on at every call. Inlining would change sums that may be reordered.
+        options["forceinline"] = not (entry or reorder)
         options["nogil"] = entry  # several threads may estimate at a time
         return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:
@@ -220,13 +223,28 @@ def kernel(
 
 
 @functools.cache
-def say_that_kernels_compile() -> None:
-    """Print one line, once, if this machine has no compiled kernels yet: the first call then takes some seconds."""
-    import numba
+def _say_when_kernels_compile() -> None:
+    """Let numba tell of the first kernel that it compiles because none is on disk: that takes some seconds.
 
-    folder = Path(numba.config.CACHE_DIR or cache_folder() / "numba") / f"repro-{_digest()}"  # type: ignore[attr-defined]
-    if not any(folder.rglob("*.nbi")):
-        print("repro: compiling for this machine, once; this takes some seconds.", file=sys.stderr)
+    One line says so, once a process, and none in a page of the book, for which ``REPRO_RESULTS`` is set.
+    """
+    from numba.core import event
+
+    class Telling(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            function = event.data["dispatcher"].py_func
+            if not self.told and function.__module__.startswith("repro."):
+                self.told = True
+                if "REPRO_RESULTS" not in os.environ:
+                    words = "Compiling for this machine once, about 20 s; later runs take it from disk."
+                    print(f"repro: {words}", file=sys.stderr)
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    event.register("numba:compile", Telling())
 
 
 def cache_folder() -> Path:

@@ -184,7 +184,7 @@ def predict(widths, activation, weights, xi, slopes, gradient, room):
     last = len(widths) - 1
     for i in range(widths[0]):
         value[0, i] = xi[i]
-    at = 0
+    at = 0 * last  # no literal, for which the layers would be compiled once more
     for k in range(last):
         n_in, n_out = widths[k], widths[k + 1]
         _linear(weights, at, n_in, n_out, value[k], value[k + 1], on)

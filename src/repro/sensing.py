@@ -20,16 +20,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from repro.chain import Frames, frames, turn
-from repro.common import (
-    Array,
-    ArrayLike,
-    bad_input,
-    kernel,
-    numbers,
-    require,
-    rows_of,
-    say_that_kernels_compile,
-)
+from repro.common import Array, ArrayLike, bad_input, kernel, numbers, require, rows_of
 from repro.magnets import Cube
 from repro.networks import RELU, SILU, Network, nodes, predict
 from repro.parts import Assembly
@@ -202,11 +193,11 @@ def relate(t, j, room):
 
 
 @kernel(reorder=True)
-def _multipoles(t, xi, gradient):
+def _multipoles(moments, xi, gradient):
     """Reading from the moments of all magnets and the Earth's field, and its slopes by the relations."""
     u = xi[0]
     gradient[0] = 1.0
-    for k in range(len(t.moments)):
+    for k in range(len(moments)):
         at = 1 + 4 * k
         inverse, ca, cb, c = 1.0 / xi[at], xi[at + 1], xi[at + 2], xi[at + 3]
         square = inverse * inverse
@@ -214,14 +205,14 @@ def _multipoles(t, xi, gradient):
         by_d = by_a = by_b = by_c = 0.0
         # Legendre polynomials P_n, their first (s) and second (h) slopes, by recurrence.
         p0, p1, s0, s1, h0, h1 = 1.0, c, 0.0, 1.0, 0.0, 0.0
-        for i in range(t.moments.shape[1]):
+        for i in range(moments.shape[1]):
             n = 2 * i + 1
             p2, s2, h2 = (
                 ((2 * n + 1) * c * p1 - n * p0) / (n + 1),
                 s0 + (2 * n + 1) * p1,
                 h0 + (2 * n + 1) * s1,
             )
-            weight = t.moments[k, i] * decay
+            weight = moments[k, i] * decay
             by_a -= weight * s1
             by_b += weight * s2
             by_c += weight * (h2 * cb - h1 * ca)
@@ -331,7 +322,7 @@ def evaluate(t, q, slopes, u_hat, J, room):
     for j in range(n_s):
         relate(t, j, room)
         if t.model == _MULTIPOLES:
-            u = _multipoles(t, room.xi, room.gradient)
+            u = _multipoles(t.moments, room.xi, room.gradient)
         else:
             weights = t.weights[t.network[j]]
             u = predict(t.widths, t.activation, weights, room.xi, slopes, room.gradient, room.nodes)
@@ -401,7 +392,7 @@ def _batch(ints, floats, weights, q, task, u, J, extra):
             if task == _RELATIONS:
                 extra[n, j, :] = room.xi
             else:
-                u[n, j] = _multipoles(t, room.xi, room.gradient)
+                u[n, j] = _multipoles(t.moments, room.xi, room.gradient)
                 wrenches(t, room)
                 extra[n, j, :] = room.wrenches.ravel()
 
@@ -530,7 +521,6 @@ class Sensing:
             weights=np.stack([network.weights for network in networks]),
         )
         self.packed = pack(self.tables)
-        say_that_kernels_compile()
 
     def _moments(self, moments: ArrayLike | None, l_max: int) -> Array:
         n_m = len(self.robot.magnets)

@@ -184,7 +184,7 @@ def test_steps_of_levenberg_marquardt(models, example, iterations, n):
     )
     # A prior that says nothing: only the library treats open directions in a way of their own.
     n, start = example.robot.n_q, np.tile(example.start, (len(q), 1))
-    x, u_hat, _, status, _ = method.fit(start, np.where(use, u, np.nan), None, (start, np.zeros((n, n))))
+    x, u_hat, _, _, status, _ = method.fit(start, np.where(use, u, np.nan), None, (start, np.zeros((n, n))))
     body = f"""{SENSING} const use = rows(d.use, d.s), u = rows(d.u, d.s);
       return packed(u.flatMap((u, k) => {{
         const f = REPRO.levenbergMarquardt(sensing, d.start, [...u], use[k], d.low, d.high, {iterations});

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +19,7 @@ from repro.common import numbers, whole
 ARM = repro.load_robot(repro.example() / "robot.toml")
 Q, U = np.zeros((12, ARM.n_q)), np.zeros((12, ARM.n_readings))
 SQUARES = repro.LevenbergMarquardt(ARM)
+SOURCES = Path(repro.__file__).parents[1]
 RAGGED, HUGE = [[1.0, 2.0], [1.0]], [10**400]
 
 
@@ -127,3 +133,21 @@ def test_what_fails_leaves_nothing_and_replaces_nothing(tmp_path):
         write(tmp_path / "a", "\ud800")
     assert left(tmp_path) == ["mine"]
     assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_process_says_once_that_it_compiles_if_nothing_is_on_disk_and_a_page_never(tmp_path):
+    code = "from repro.chain import turn; import numpy as np; "
+    code += "turn(0.1, 0.2, 0.3, np.zeros((3, 4)), np.zeros((3, 3))); "
+    code += "from repro.sensing import rotation_vector; rotation_vector(np.eye(3), np.zeros(3))"
+
+    def said(**own):
+        environment = os.environ | {"PYTHONPATH": str(SOURCES)} | own
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stderr.splitlines()
+
+    first, page = ({"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("first", "page"))
+    assert said(**page, REPRO_RESULTS=str(tmp_path)) == []
+    (line,) = said(**first)
+    assert line == "repro: Compiling for this machine once, about 20 s; later runs take it from disk."
+    assert said(**first) == []

@@ -26,7 +26,7 @@ from repro import (
     track,
 )
 from repro.estimators.drift import DriftModel
-from repro.estimators.kalman import _update, smoothed
+from repro.estimators.kalman import _predict, _update, smoothed
 
 from .robots import RELEASED, STORED, bounds, paper_robot
 from .test_least_squares import lemniscate
@@ -141,43 +141,27 @@ def test_filter_and_smoother_of_magnets_answer_as_the_first_edition_did():
 
 
 @numba.njit
-def _many(x, P, F, Q, q, C, information, J, steps):
-    """Predict and update, by plain loops: numba's linear algebra takes long to compile."""
-    FP, M = np.zeros((4, 4)), np.zeros((2, 2))
+def _many(x, P, F, Q, J, steps):
+    """Predict and update at the same place, in compiled code."""
+    q, C, information, M = np.zeros(2), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
     for _ in range(steps):
-        for a in range(4):
-            for b in range(4):
-                FP[a, b] = (
-                    F[a, 0] * P[0, 0, b] + F[a, 1] * P[0, 1, b] + F[a, 2] * P[0, 2, b] + F[a, 3] * P[0, 3, b]
-                )
-        for a in range(4):
-            for b in range(4):
-                P[0, a, b] = (
-                    FP[a, 0] * F[b, 0]
-                    + FP[a, 1] * F[b, 1]
-                    + FP[a, 2] * F[b, 2]
-                    + FP[a, 3] * F[b, 3]
-                    + Q[a, b]
-                )
-        for source, target in ((P, information), (M[None], C)):
-            det = source[0, 0, 0] * source[0, 1, 1] - source[0, 0, 1] * source[0, 1, 0]
-            target[0, 0, 0], target[0, 1, 1] = source[0, 1, 1] / det, source[0, 0, 0] / det
-            target[0, 0, 1] = target[0, 1, 0] = -source[0, 0, 1] / det
-            M[:] = information[0] + J
-        _update(x, P, q, C, information)
+        _predict(F, Q, np.array([[-9.0, -9.0], [9.0, 9.0]]), x, P, q, information)
+        M[:] = information + J
+        det = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
+        C[0, 0], C[1, 1], C[0, 1], C[1, 0] = M[1, 1] / det, M[0, 0] / det, -M[0, 1] / det, -M[1, 0] / det
+        _update(np.zeros(2), x, P, q, C, information)
 
 
 @pytest.mark.slow
 def test_covariances_stay_symmetric_and_positive_over_a_million_steps():
     method, *_ = linear_case()
     F, Q = method.motion(0.01)
-    P, J = np.diag([8.0, 8.0, *SPEED**2])[None], H.T @ np.diag(1 / NOISE**2) @ H
-    x, q, C, information = np.zeros((1, 4)), np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros((1, 2, 2))
-    _many(x, P, F, Q, q, C, information, J, 1_000_000)
-    np.testing.assert_array_equal(P[0], P[0].T)
-    assert np.linalg.eigvalsh(P[0]).min() > 0
+    x, P, J = np.zeros(4), np.diag([8.0, 8.0, *SPEED**2]), H.T @ np.diag(1 / NOISE**2) @ H
+    _many(x, P, F, Q, J, 1_000_000)
+    np.testing.assert_array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > 0
     before = P.copy()
-    _many(x, P, F, Q, q, C, information, J, 1000)
+    _many(x, P, F, Q, J, 1000)
     np.testing.assert_allclose(P, before, rtol=1e-9)
 
 
@@ -334,3 +318,31 @@ def test_an_offset_and_a_heading_are_found_where_the_readings_tell_them():
 def test_what_cannot_wander_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_what_is_set_on_a_used_estimator_holds_from_then_on():
+    """What is derived from an attribute is derived anew, and an array among them cannot be changed unnoticed."""
+
+    def filter_of(acceleration):
+        return KalmanFilter(lambda q: 2 * q, [-9.0, -9.0], [9.0, 9.0], 0.1, acceleration, [1.0, 1.0])
+
+    def fit_of(noise, upper):
+        return LevenbergMarquardt(lambda q: q, [-9.0, -9.0], upper, noise)
+
+    used, new = filter_of([1.0, 1.0]), filter_of([5.0, 2.0])
+    state = used.step(used.init([0.0, 0.0]), [0.1, 0.2], 0.0)[0]
+    used.step(state, [0.3, 0.1], 0.5)
+    used.acceleration = np.array([5.0, 2.0])
+    for mine, other in zip(
+        used.step(state, [0.3, 0.1], 0.5)[0], new.step(state, [0.3, 0.1], 0.5)[0], strict=True
+    ):
+        np.testing.assert_array_equal(mine, other)
+    with pytest.raises(ValueError, match="read-only"):
+        used.acceleration[0] = 1.0
+    fit, other = fit_of(0.1, [9.0, 9.0]), fit_of([0.3, 0.7], [1.0, 9.0])
+    fit.step(fit.init([0.0, 0.0]), [2.0, 2.0])
+    fit.noise, fit.upper = np.array([0.3, 0.7]), np.array([1.0, 9.0])
+    mine, theirs = (x.step(x.init([0.0, 0.0]), [2.0, 2.0])[1] for x in (fit, other))
+    np.testing.assert_array_equal(mine.q, theirs.q)
+    np.testing.assert_array_equal(mine.covariance, theirs.covariance)
+    np.testing.assert_array_equal(fit.by_bounds, other.by_bounds)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
-from repro.common import Array, array, bad_input, numbers, require, say_that_kernels_compile
+from repro.common import Array, array, bad_input, numbers, require
 from repro.parts import Assembly
 from repro.sensing import Linearised, sensing_of
 
@@ -60,12 +63,17 @@ class Estimator(Protocol):
     never enters otherwise.
     """
 
-    def init(self, q0: Any = None, seed: int = 0) -> Any:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> Any:
         """Return the state before the first readings."""
         ...
 
     def step(
-        self, state: Any, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: Any,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[Any, Estimate]:
         """Take in readings."""
         ...
@@ -89,10 +97,13 @@ class Watched(Estimator, Protocol):
     """Whose shape it estimates, if known."""
     n_q: int
     """Number of coordinates."""
-    angles: FreeAngles
-    """Which coordinates come round again."""
     needs_time: bool
     """Whether it predicts by the time since the last row."""
+
+    @property
+    def angles(self) -> FreeAngles:
+        """Which coordinates come round again."""
+        ...
 
     @property
     def bounds(self) -> tuple[Array, Array] | None:
@@ -122,7 +133,7 @@ class NearMagnets:
         self.sensing, self.q = sensing, q
 
     @classmethod
-    def of(cls, robot: Assembly | None, n_readings: int, q0: Any = None) -> NearMagnets | None:
+    def of(cls, robot: Assembly | None, n_readings: int, q0: ArrayLike | None = None) -> NearMagnets | None:
         """Return it for a robot, or nothing if no reading comes so close within the bounds."""
         if robot is None or robot.lower is None or robot.upper is None or n_readings != robot.n_readings:
             return None
@@ -139,7 +150,7 @@ class NearMagnets:
         return self.sensing.too_near(np.nan_to_num(self.q))
 
 
-def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
+def incoming(u: ArrayLike, mask: ArrayLike | None, owner: str, n: int | None = None) -> Array:
     """Return readings as float64 with NaN for every missing one; refuse another number of readings.
 
     Raises
@@ -161,18 +172,36 @@ def incoming(u: Any, mask: Any, owner: str, n: int | None = None) -> Array:
     return u
 
 
-def robot_of(x: Any) -> Assembly | None:
+class Tuned:
+    """An estimator whose public attributes may be set at any time: what was derived from them is then forgotten.
+
+    Arrays among them are copies that nobody can write to, so that none changes unnoticed.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not name.startswith("_"):
+            if isinstance(value, np.ndarray):
+                value = value.copy()
+                value.setflags(write=False)
+            for kind in type(self).__mro__:
+                for derived, x in vars(kind).items():
+                    if isinstance(x, cached_property):
+                        vars(self).pop(derived, None)
+        object.__setattr__(self, name, value)
+
+
+def robot_of(x: object) -> Assembly | None:
     """Return the robot of a sensor model or an estimator, if it knows one."""
     return x.robot if isinstance(x, OfRobot) and isinstance(x.robot, Assembly) else None
 
 
-def start(q0: Any, n_q: int, owner: str) -> Array:
+def start(q0: ArrayLike, n_q: int, owner: str) -> Array:
     """Return a start configuration ``[..., n_q]`` as float64, or refuse it."""
     return numbers(q0, "q0", owner, (..., n_q))
 
 
 def described(
-    sensing: Any, lower: Any, upper: Any, noise: Any, owner: str
+    sensing: Any, lower: ArrayLike | None, upper: ArrayLike | None, noise: ArrayLike | None, owner: str
 ) -> tuple[Assembly | None, Any, Any, Any, Any]:
     """Return the robot behind a sensor model if there is one, the model, and what is not given as the robot has it.
 
@@ -230,7 +259,9 @@ def evenly(lower: Array, upper: Array, n: int) -> Array:
     return lower + share * (upper - lower)
 
 
-def known_coordinates(known: Any, n_q: int, owner: str, fixed: Array | None = None) -> Array | None:
+def known_coordinates(
+    known: ArrayLike | None, n_q: int, owner: str, fixed: Array | None = None
+) -> Array | None:
     """Return known coordinates ``[..., n_q]``, NaN for those to be estimated; infinity is refused."""
     if known is None:
         return fixed
@@ -248,6 +279,20 @@ def conditioned(x: Array, C: Array, known: Array) -> tuple[Array, Array]:
     off = np.where(given, known - x, 0.0)
     moved = x + (gain @ off[..., None])[..., 0]
     return np.where(given, known, moved), np.where(~rows & ~columns, C - gain @ C, 0.0)
+
+
+def spread(x: Array, shape: tuple[int, ...]) -> Array:
+    """Return a copy of what each member of a batch has, in the shape of all, as kernels take it."""
+    return x.copy() if x.shape == shape else np.broadcast_to(x, shape).copy()
+
+
+def in_line(batch: tuple[int, ...], *arrays: Array) -> Sequence[Array]:
+    """Return arrays ``[*batch, n, ...]`` with the members one after the other ``[members * n, ...]``, for a kernel.
+
+    Those of a single robot already are: it is reshaped by nobody.
+    """
+    n = len(batch) + 1
+    return [x.reshape(math.prod(x.shape[:n]), *x.shape[n:]) for x in arrays] if batch else arrays
 
 
 class CallableModel:
@@ -296,7 +341,7 @@ class CallableModel:
             np.allclose(found, expected, tolerance, tolerance * np.abs(expected).max(), True)
         )
 
-    def _called(self, q: Array, dtype: Any = float) -> Array:
+    def _called(self, q: Array, dtype: type = float) -> Array:
         if q.ndim == 1 or self.batched:
             return np.asarray(self.sensing(q), dtype=dtype)
         return np.stack([np.asarray(self.sensing(x), dtype=dtype) for x in q])
@@ -339,7 +384,6 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
         If it is no callable, fails, or has another number of coordinates than the bounds.
     """
     require(callable(sensing), "sensing", owner, "a callable from q to readings", type(sensing).__name__)
-    say_that_kernels_compile()
     if hasattr(sensing, "compiled"):
         expected = f"bounds of its {sensing.n_q} coordinates"
         require(len(lower) == sensing.n_q, "lower, upper", owner, expected, f"{len(lower)}")
@@ -348,7 +392,7 @@ def model_of(sensing: Any, lower: Array, upper: Array, owner: str) -> Any:
     return CallableModel(sensing, (lower + upper) / 2, width, owner)
 
 
-def parts_of(robot: Assembly | None, noise: Any, n_readings: int) -> tuple[Array, Array]:
+def parts_of(robot: Assembly | None, noise: Array, n_readings: int) -> tuple[Array, Array]:
     """Return which part every reading belongs to, and which never stay the same: their noise is above their step."""
     if robot is None or robot.n_readings != n_readings:
         return np.arange(n_readings), np.ones(n_readings, dtype=bool)
@@ -392,7 +436,7 @@ def chosen(condition: Array, x: Any, y: Any) -> Any:
     return _each_of(where, y, x)
 
 
-def grown(estimate: Estimate, added: Any, factor: Any = 1.0) -> Estimate:
+def grown(estimate: Estimate, added: Array | float, factor: Array | float = 1.0) -> Estimate:
     """Return an estimate whose covariance is multiplied by a factor, with another one added."""
     C: Any = estimate.covariance
     return estimate._replace(covariance=factor * C + added)

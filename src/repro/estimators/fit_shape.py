@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from repro.chain import Chain, FreeBody, Place, place, point_on, unit_quaternions
 from repro.common import Array, bad_input, is_table, numbers, require
 from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
-from repro.estimators.least_squares import CHI2, LevenbergMarquardt
+from repro.estimators.least_squares import CHI2, USED, LevenbergMarquardt
 from repro.estimators.track import Trajectory
 from repro.parts import Assembly, Mounted
 from repro.sensing import batch_difference
@@ -341,10 +341,10 @@ class _Search:
         noise = np.repeat(self.noise, 3 * len(places))
         method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
         known = None if self.free.all() else self.known[:n]
-        found, u_hat, C, status, used = method.fit(q[:, :n], u, known)
+        found, u_hat, C, _, status, counts = method.fit(q[:, :n], u, known)
         found = method.angles.wrapped(found)
         C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
-        return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], used
+        return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], counts[:, USED]
 
     def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
         """Return the same, searched: from the base to the tip one segment more at a time, then all together."""

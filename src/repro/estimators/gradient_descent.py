@@ -6,6 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.common import Array, kernel, numbers, require
@@ -78,7 +79,12 @@ class GradientDescent:
     """
 
     def __init__(
-        self, sensing: Any, step_size: Any, momentum: float = 0.3, iterations: int = 20, noise: Any = None
+        self,
+        sensing: Any,
+        step_size: ArrayLike,
+        momentum: float = 0.3,
+        iterations: int = 20,
+        noise: ArrayLike | None = None,
     ) -> None:
         owner = "GradientDescent"
         n = sensing.n_q if isinstance(sensing, Assembly | Sensing) else 0
@@ -108,7 +114,7 @@ class GradientDescent:
         middle = (np.maximum(low, -1e9) + np.minimum(high, 1e9)) / 2  # zero without bounds
         self._start = middle if robot is None or robot.start is None else robot.start
 
-    def init(self, q0: Any = None, seed: int = 0) -> DescentState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> DescentState:
         """Return the state at ``q0`` ``[..., n_q]``, without momentum. Nothing is random.
 
         Without ``q0`` it is where the robot starts, or the middle of its bounds; zero without a robot.
@@ -119,7 +125,12 @@ class GradientDescent:
         return DescentState(q, np.zeros_like(q))
 
     def step(
-        self, state: DescentState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: DescentState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[DescentState, Estimate]:
         """Descend from the last estimate. The details hold ``loss``, ``best_iteration`` and ``left_out``.
 

@@ -24,12 +24,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.chain import unit_quaternions
-from repro.common import Array, numbers, require
+from repro.common import Array, kernel, numbers, require
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,23 @@ class Arm:
             object.__setattr__(self, name, tuple(values.tolist()))
         object.__setattr__(self, "sub_segments", tuple(n.astype(int).tolist()) if n.ndim else int(n))
 
-    def select(self, orientations: Any) -> Array:
+    @cached_property
+    def links(self) -> Array:
+        """For the kernels, length, number of sub-segments and the share of the turn these spread over, of every link.
+
+        "Inner points" spread the sub-segments over the share ``n/(n + 1)`` of the turn, about its middle.
+        """
+        n = np.broadcast_to(np.array(self.sub_segments, dtype=float), len(self.link_lengths))
+        share = n / (n + 1) if self.interpolation == "inner points" else np.ones(len(n))
+        return np.stack([np.array(self.link_lengths), n, share])
+
+    @cached_property
+    def arcs(self) -> Array:
+        """The same for links that are arcs."""
+        n = len(self.link_lengths)
+        return np.stack([np.array(self.link_lengths), np.full(n, np.inf), np.ones(n)])
+
+    def select(self, orientations: ArrayLike) -> Array:
         """Return the orientations of this arm's IMUs ``[..., imus, 4]``, the base turned by ``base_turn``.
 
         Parameters
@@ -132,11 +149,11 @@ class Arm:
         return q
 
 
-ShapeModel = Callable[[Any, Arm, Any], Array]
+ShapeModel = Callable[[ArrayLike, Arm, ArrayLike], Array]
 """From orientations ``[..., imus, 4]``, an arm and distances along it [m] to positions ``[..., points, 3]``."""
 
 
-def rigid_body(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+def rigid_body(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
     r"""Return positions on straight links along the z axes of the IMUs, equation (2).
 
     .. math:: \hat x_i = \sum_{j=0}^{i-1} R(q_j)\,(0, 0, L_j)^T
@@ -175,14 +192,10 @@ def rigid_body(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
     array([[0.  , 0.  , 0.04],
            [0.08, 0.  , 0.08]])
     """
-    q, points = _checked(orientations, arm, arc_lengths, "rigid_body", between=False)
-    lengths = np.array(arm.link_lengths)
-    starts = np.cumsum(lengths) - lengths
-    passed = np.clip(points - starts[:, None], 0.0, lengths[:, None])  # metres of each link before each point
-    return np.moveaxis(_tangents(q) @ passed, 0, -1) + np.array(arm.origin)
+    return _positions(orientations, arm, arc_lengths, "rigid_body")
 
 
-def pcc_extended(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+def pcc_extended(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
     """Return positions on straight sub-segments, their orientations interpolated between IMUs, eqs (3) to (7).
 
     Sub-segment k of n has the orientation ``slerp(q_i, q_i+1, (2k + 1)/2n)`` by the shorter way round, or the
@@ -217,11 +230,10 @@ def pcc_extended(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
     >>> exact_arcs(quarter, arm, 0.64).round(4) + 0.0
     array([[0.4074, 0.    , 0.4074]])
     """
-    q, points = _checked(orientations, arm, arc_lengths, "pcc_extended")
-    return _chain(q, arm, points, np.broadcast_to(arm.sub_segments, len(arm.link_lengths)).astype(float))
+    return _positions(orientations, arm, arc_lengths, "pcc_extended")
 
 
-def exact_arcs(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
+def exact_arcs(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
     """Return positions in the limit of ever more sub-segments: between IMUs a frame turns at a constant rate.
 
     A link is an arc of constant curvature if its IMUs differ by bending alone, a helix if they are twisted as
@@ -250,72 +262,132 @@ def exact_arcs(orientations: Any, arm: Arm, arc_lengths: Any) -> Array:
     >>> exact_arcs(quarter, Arm([0, 8], [0.0, 0.64], [0.64], sub_segments=1), [0.64]).round(4) + 0.0
     array([[0.4074, 0.    , 0.4074]])
     """
-    q, points = _checked(orientations, arm, arc_lengths, "exact_arcs")
-    return _chain(q, arm, points, None)
+    return _positions(orientations, arm, arc_lengths, "exact_arcs")
 
 
-def _checked(
-    orientations: Any, arm: Arm, arc_lengths: Any, owner: str, *, between: bool = True
-) -> tuple[Array, Array]:
-    """Return unit quaternions, components in front, ``[4, ..., imus]``, and distances ``[points]``."""
+def _positions(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike, owner: str) -> Array:
+    """Check what a model is given, and return its positions."""
+    between = owner != "rigid_body"
     require(isinstance(arm, Arm), "arm", owner, "an Arm", type(arm).__name__)
     kind = "one with links between IMUs (sub_segments above 0)" if between else "one with a link per IMU"
-    require(np.any(arm.sub_segments) == between, "arm", owner, kind, arm)
-    q = unit_quaternions(orientations, "orientations", owner, (..., len(arm.imus), 4))
+    require((len(arm.link_lengths) < len(arm.imus)) == between, "arm", owner, kind, arm)
+    q = numbers(orientations, "orientations", owner, (..., len(arm.imus), 4))
     points, total = np.atleast_1d(numbers(arc_lengths, "arc_lengths", owner)), sum(arm.link_lengths)
     inside = points.ndim == 1 and points.size and points.min() >= 0 and points.max() <= total * (1 + 1e-12)
     require(inside, "arc_lengths", owner, f"distances between 0 and {total:g} m, at least one", points)
-    return np.ascontiguousarray(np.moveaxis(q, -1, 0)), points
+    rows = q.reshape(-1, len(arm.imus), 4).copy()
+    p = np.empty((*q.shape[:-2], len(points), 3))
+    links = arm.arcs if owner == "exact_arcs" else arm.links
+    if not _chain(rows, links, np.array(arm.origin), points.copy(), p.reshape(-1, 3)):
+        unit_quaternions(q, "orientations", owner, (..., *q.shape[-2:]))
+    return p
 
 
-def _chain(q: Array, arm: Arm, s: Array, n: Array | None) -> Array:
-    """Return points on chains of ``n`` sub-segments per link, or on arcs, by the formula of this module.
+@kernel(entry=True, allocates=True)
+def _chain(q, links, origin, points, out):
+    """Write points on chains of links, by the formula of this module; return whether quaternions are unit ones.
 
-    "Inner points" spread the sub-segments over the share ``c = n/(n + 1)`` of the turn, about its middle.
+    Without sub-segments links are straight. ``out`` holds the points of one sample after those of another.
     """
-    lengths = np.array(arm.link_lengths)
-    one = np.ones(len(lengths))
-    n, c = (
-        (np.inf * one, one) if n is None else (n, n / (n + 1) if arm.interpolation == "inner points" else one)
-    )
-    a, d = q[..., :-1], _tangents(q)
-    b, angle = _shorter(a, q[..., 1:])  # phi/2 is the angle between a and b as vectors
-    half, mean = _tangents((a + b) / (2 * np.cos(angle / 2))), 0.5 * (d[..., :-1] + d[..., 1:])
-    # Where the angle vanishes so does 1 - S, and any bounded p will do.
-    p = (half - mean) / np.maximum(1 - np.cos(angle), 1e-16)
-    steps = lengths * (half - (1 - _sinc(c * angle) / _sinc(c / n * angle)) * p)
-    ends = np.cumsum(lengths)
-    link = np.minimum(np.searchsorted(ends, s), len(lengths) - 1)
-    share = np.clip((s - ends[link]) / lengths[link] + 1.0, 0.0, 1.0)
-    whole = (np.arange(len(lengths))[:, None] < link).astype(float)
-    a, b, angle, along, n, c = (x[..., link] for x in (a, b, angle, half - p, n, c))
-    done = share if np.isinf(n).all() else np.floor(share * n) / n
+    length, n_links, n_points = links[0], links.shape[1], len(points)
+    d, at, bends = np.zeros((q.shape[1], 3)), np.zeros((n_links + 1, 3)), np.zeros((n_links, 6))
+    at[0] = origin
+    for k in range(len(q)):
+        if not _scaled(q[k]):
+            return False
+        for i in range(q.shape[1]):
+            _tangent(q[k, i, 0], q[k, i, 1], q[k, i, 2], q[k, i, 3], d[i])
+        for g in range(n_links):
+            if links[1, g] > 0.0:
+                _link(q[k, g], q[k, g + 1], d[g], d[g + 1], links[:, g], bends[g], at[g + 1])
+            for c in range(3):
+                at[g + 1, c] = at[g, c] + length[g] * (at[g + 1, c] if links[1, g] > 0.0 else d[g, c])
+        for i in range(n_points):
+            g, end = 0, length[0]
+            while g < n_links - 1 and end < points[i]:
+                g += 1
+                end += length[g]
+            share = min(max((points[i] - end) / length[g] + 1.0, 0.0), 1.0)
+            p = out[k * n_points + i]
+            if links[1, g] > 0.0:
+                _within(q[k, g], q[k, g + 1], bends[g], links[:, g], share, p)
+            for c in range(3):
+                p[c] = at[g, c] + length[g] * (p[c] if links[1, g] > 0.0 else share * d[g, c])
+    return True
+
+
+@kernel
+def _scaled(q):
+    """Scale the quaternions of a sample to norm 1; return whether they were that but for rounding."""
+    for i in range(len(q)):
+        norm = math.sqrt(q[i, 0] * q[i, 0] + q[i, 1] * q[i, 1] + q[i, 2] * q[i, 2] + q[i, 3] * q[i, 3])
+        if not abs(norm - 1.0) <= 1e-3:
+            return False
+        for c in range(4):
+            q[i, c] /= norm
+    return True
+
+
+@kernel
+def _tangent(x, y, z, w, d):
+    """Write the z axis of the frame of a unit quaternion."""
+    d[0], d[1], d[2] = 2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)
+
+
+@kernel
+def _sinc(x):
+    return math.sin(x) / x if x != 0.0 else 1.0
+
+
+@kernel
+def _link(a, b, d, onward, link, bend, step):
+    """Write the chord of a link, in units of its length.
+
+    ``bend`` takes the angle phi/2 between the quaternions as vectors, the sign of the second one that is closer to
+    the first, and the part of the tangent along the axis.
+    """
+    cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    sign = math.copysign(1.0, cosine)
+    angle = math.acos(min(abs(cosine), 1.0))
+    bend[0], bend[1] = angle, sign
+    scale = 0.5 / math.cos(0.5 * angle)
+    _tangent(
+        scale * (a[0] + sign * b[0]), scale * (a[1] + sign * b[1]), scale * (a[2] + sign * b[2]),
+        scale * (a[3] + sign * b[3]), step,
+    )  # fmt: skip
+    n, c = link[1], link[2]
+    S = _sinc(c * angle) / _sinc(c / n * angle)
+    for i in range(3):
+        # Where the angle vanishes so does 1 - S, and any bounded p will do.
+        p = (step[i] - 0.5 * (d[i] + onward[i])) / max(1.0 - math.cos(angle), 1e-16)
+        bend[2 + i] = step[i] - p
+        step[i] -= (1.0 - S) * p
+
+
+@kernel
+def _within(a, b, bend, link, share, p):
+    """Write the way along a share of a link, in units of its length."""
+    angle, n, c = bend[0], link[1], link[2]
+    done = share if n == math.inf else math.floor(share * n) / n
     S = _sinc(c * done * angle) / _sinc(c / n * angle)
-    chord = done * (S * _tangents(_between(a, b, angle, (1 - c + c * done) / 2)) + (1 - S) * along)
-    rest = (share - done) * _tangents(_between(a, b, angle, (1 - c) / 2 + c * (done + 0.5 / n)))
-    return np.moveaxis(steps @ whole + lengths[link] * (chord + rest), 0, -1) + np.array(arm.origin)
+    _between(a, b, bend, 0.5 * (1.0 - c + c * done), p)
+    chord_x, chord_y, chord_z = p[0], p[1], p[2]
+    _between(a, b, bend, 0.5 * (1.0 - c) + c * (done + 0.5 / n), p)
+    rest = share - done
+    p[0] = done * (S * chord_x + (1.0 - S) * bend[2]) + rest * p[0]
+    p[1] = done * (S * chord_y + (1.0 - S) * bend[3]) + rest * p[1]
+    p[2] = done * (S * chord_z + (1.0 - S) * bend[4]) + rest * p[2]
 
 
-def _tangents(q: Array) -> Array:
-    """Return the z axes ``[3, ...]`` of frames by unit quaternions ``[4, ...]``."""
-    x, y, z, w = q
-    return np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
-
-
-def _sinc(x: Array) -> Array:
-    return np.sinc(x / np.pi)
-
-
-def _shorter(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the one of b and -b that is closer to a, and the angle between the two; components in front."""
-    cosine = np.einsum("i...,i...->...", a, b)
-    return np.copysign(1.0, cosine) * b, np.arccos(np.minimum(np.abs(cosine), 1.0))
-
-
-def _between(a: Array, b: Array, angle: Array, share: Any) -> Array:
-    """Return the spherical linear interpolation of eq. (4)."""
-    rest, whole = 1 - share, _sinc(angle)
-    return rest * _sinc(rest * angle) / whole * a + share * _sinc(share * angle) / whole * b
+@kernel
+def _between(a, b, bend, share, d):
+    """Write the tangent of the spherical linear interpolation of eq. (4)."""
+    rest, whole = 1.0 - share, _sinc(bend[0])
+    of_a, of_b = rest * _sinc(rest * bend[0]) / whole, bend[1] * share * _sinc(share * bend[0]) / whole
+    _tangent(
+        of_a * a[0] + of_b * b[0], of_a * a[1] + of_b * b[1], of_a * a[2] + of_b * b[2],
+        of_a * a[3] + of_b * b[3], d,
+    )  # fmt: skip
 
 
 def _product(first: Array, second: Array) -> Array:
@@ -334,7 +406,7 @@ def _product(first: Array, second: Array) -> Array:
 def _exponential(vector: Array) -> Array:
     """Return the quaternion ``[..., 4]`` of a rotation vector ``[..., 3]`` [rad]."""
     half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
-    return np.concatenate([0.5 * _sinc(half) * vector, np.cos(half)], axis=-1)
+    return np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -379,8 +451,8 @@ class ImuCalibration:
 
 
 def calibrate_imus(
-    orientations: Any,
-    markers: Any,
+    orientations: ArrayLike,
+    markers: ArrayLike,
     model: ShapeModel,
     arm: Arm,
     *,
@@ -491,7 +563,7 @@ def _errors_of(arm: Arm, per_imu: bool) -> tuple[str, ...]:
     return (*names, *(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y")))
 
 
-def calibrated(orientations: Any, calibration: ImuCalibration) -> Array:
+def calibrated(orientations: ArrayLike, calibration: ImuCalibration) -> Array:
     """Return orientations ``[..., imus, 4]`` of links in the frame of the motion capture.
 
     Positions that a model finds from them, plus ``calibration.translation``, are positions in that frame.

@@ -15,24 +15,37 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
+    Tuned,
     batch_of,
     described,
-    each,
+    in_line,
     incoming,
     known_coordinates,
     parts_of,
+    spread,
     start,
 )
 from repro.estimators.drift import Drifting, DriftModel
-from repro.estimators.least_squares import BOUND, CHI2, TURN, LevenbergMarquardt, cholesky, solve
+from repro.estimators.least_squares import (
+    BOUND,
+    CHI2,
+    MISSING,
+    TURN,
+    USED,
+    LevenbergMarquardt,
+    cholesky,
+    solve,
+)
 
 
 class KalmanState(NamedTuple):
@@ -56,15 +69,20 @@ class KalmanState(NamedTuple):
     t: float | None = None
 
 
+_NO_LIMITS = np.empty((2, 0))
 _MOTIONS = 64
 """So many transitions are remembered: equal steps of a clock differ by rounding."""
 
 
-class MotionModel:
+class MotionModel(Tuned):
     """What filters with a motion model share: ``motion(tau)`` gives the transition and the noise that it adds."""
 
     needs_time = True
     angles: FreeAngles
+
+    @cached_property
+    def _motions(self) -> dict[float, tuple[Array, Array]]:
+        return {}
 
     def motion(self, tau: float) -> tuple[Array, Array]:
         """Return the transition of ``(q, velocity)`` over a time [s], and the covariance that noise adds."""
@@ -82,23 +100,32 @@ class MotionModel:
             return state._replace(t=t)
         if not t >= state.t:
             raise bad_input("t", type(self).__name__, f"not before the last step, {state.t} s", t)
-        F, Q = self._remembered(t - state.t)
-        x, n = np.concatenate([state.q, state.velocity], axis=-1), state.q.shape[-1]
-        if x.ndim == 1:  # the same sums, by a shorter way than that of a batch
-            x, P = x.dot(F.T), F.dot(state.covariance).dot(F.T) + Q
-        else:
-            x, P = x @ F.T, F @ state.covariance @ F.T + Q
-        return KalmanState(x[..., :n], x[..., n:], 0.5 * (P + P.swapaxes(-1, -2)), t)
+        batch, n = state.q.shape[:-1], state.q.shape[-1]
+        x, P, *_ = self.carried(state, t, batch)
+        return KalmanState(x[..., :n], x[..., n:], P, t)
 
-    def _remembered(self, tau: float) -> tuple[Array, Array]:
-        """Return ``motion(tau)``; that of the last times is remembered, as steps are mostly equal."""
-        motions = self.__dict__.setdefault("_motions", {})
-        found = motions.get(tau)
-        if found is None:
-            if len(motions) >= _MOTIONS:
-                motions.clear()
-            found = motions[tau] = self.motion(tau)
-        return found
+    def carried(
+        self, state: KalmanState, t: float, batch: tuple[int, ...], limits: Array = _NO_LIMITS
+    ) -> tuple[Array, Array, Array, Array, bool]:
+        """Return mean and covariance of a batch at a later time [s], as the fit of their first coordinates starts.
+
+        With the limits ``[2, n]`` of these coordinates that is their mean within the limits, their information, and
+        whether one of them is certain.
+        """
+        tau = 0.0 if state.t is None else t - state.t
+        if tau not in self._motions:
+            if len(self._motions) >= _MOTIONS:
+                self._motions.clear()
+            self._motions[tau] = self.motion(tau)
+        (F, Q), n = self._motions[tau], limits.shape[1]
+        m = len(F)
+        x, P = (
+            spread(np.concatenate([state.q, state.velocity], axis=-1), (*batch, m)),
+            spread(state.covariance, (*batch, m, m)),
+        )
+        start, information = np.empty((*batch, n)), np.empty((*batch, n, n))
+        certain = _predict(F, Q, limits, *in_line(batch, x, P, start, information))
+        return x, P, start, information, certain
 
     def near(self, state: KalmanState, reference: Array) -> KalmanState:
         """Return the same state with angles next to those of a reference ``[..., n_q]``."""
@@ -158,11 +185,11 @@ class KalmanFilter(MotionModel):
     def __init__(
         self,
         sensing: Any,
-        lower: Any = None,
-        upper: Any = None,
-        noise: Any = None,
-        acceleration: Any = None,
-        velocity: Any = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
@@ -200,7 +227,7 @@ class KalmanFilter(MotionModel):
         rule = ", by the rule of thumb: half of each range" if self._by_rule else ""
         return f"KalmanFilter of {self.n_q} coordinates; process noise {words} [unit/s^1.5]{rule}"
 
-    def init(self, q0: Any = None, seed: int = 0) -> KalmanState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> KalmanState:
         """Return the state at rest at ``q0`` ``[..., n_q]``, else where the robot starts or amid the bounds."""
         bounds = self._update
         middle = (bounds.lower + bounds.upper)[: self.n_q] / 2
@@ -283,7 +310,12 @@ class KalmanFilter(MotionModel):
         return state._replace(q=state.q.clip(self._update.lower, self._update.upper))
 
     def step(
-        self, state: KalmanState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: KalmanState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[KalmanState, Estimate]:
         """Predict to the time ``t`` [s] and take in ``u``.
 
@@ -297,107 +329,158 @@ class KalmanFilter(MotionModel):
         """
         if not (state.t is None or t > state.t):
             raise bad_input("t", "KalmanFilter", f"after the last step, {state.t} s", t)
-        fit = self._update
+        fit, k = self._update, self.n_q
         u = incoming(u, mask, "KalmanFilter", fit.model.n_readings)
-        known = known_coordinates(known, self.n_q, "KalmanFilter")
-        before = self.predicted(state, t)
-        batch = batch_of(before.q, u)
-        n, m = fit.n_q, before.covariance.shape[-1]
-        P = each(before.covariance, batch, m, m).copy()
-        fixed = P.diagonal(0, 1, 2)[:, :n] <= 0  # what is certain does not move
-        information = np.empty((len(P), n, n))
-        _prior_information(P, information)
-        prior = (before.q, information.reshape(*batch, n, n))
+        known = known_coordinates(known, k, "KalmanFilter")
+        batch, n = batch_of(state.q, u), fit.n_q
+        x, P, q, information, certain = self.carried(state, t, batch, self._limits)
         given = None
-        if known is not None or fixed.any():
-            given = self._given(before, fixed.reshape(*batch, n), known)
-        q = before.q.clip(fit._low, fit._high)
-        q, u_hat, C, status, n_used = fit.fit(q, u, given, prior)
-        x = each(np.concatenate([before.q, before.velocity], axis=-1), batch, m).copy()
-        _update(x, P, q.reshape(-1, n), C.reshape(-1, n, n), information)
-        velocity = x[:, n:].reshape(*batch, m - n)
-        after = KalmanState(q, velocity, P.reshape(*batch, m, m), t)
+        if known is not None or certain:
+            given = self._given(x[..., :n], P, known)
+        q, u_hat, C, at_bound, status, counts = fit.fit(q, u, given, (x[..., :n], information))
+        open_ = _update(fit.by_bounds[:k], *in_line(batch, x, P, q, C, information))
+        after = KalmanState(q, x[..., n:], P, t)
         after = self.wrapped(after) if self.angles else after
-        k, C = self.n_q, after.covariance[..., :n, :n]
-        at_bound = fit.at_bound(q, given)[..., :k]
-        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": at_bound}
+        C = after.covariance[..., :k, :k]
+        details = {"iterations": status[..., TURN], "at_bound": at_bound[..., :k]}
         if len(self.drift_std):
             details["drift"] = after.q[..., k:]
-            details["drift_std"] = np.sqrt(np.diagonal(C, axis1=-2, axis2=-1)[..., k:])
+            details["drift_std"] = np.sqrt(np.diagonal(after.covariance, axis1=-2, axis2=-1)[..., k:n])
+        n_used, chi2 = counts[..., USED][()], status[..., CHI2][()]
         # The prior adds a residual for every coordinate, and the fit uses up one for each that is free.
-        dof = n_used + status[:, BOUND].astype(np.int64).reshape(batch)[()]
-        chi2 = status[:, CHI2].reshape(batch)[()]
-        C = self.by_bounds(C[..., :k, :k])
-        return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
+        dof = n_used + counts[..., BOUND][()]
+        C = self.by_bounds(C) if open_ or self.angles else C
+        return after, Estimate(after.q[..., :k], C, u_hat, chi2, dof, counts[..., MISSING][()], details)
 
-    def _given(self, before: KalmanState, fixed: Array, known: Array | None) -> Array | None:
+    @cached_property
+    def _limits(self) -> Array:
+        return np.array(self._update.limits)
+
+    def _given(self, q: Array, P: Array, known: Array | None) -> Array | None:
         """Return what is certain or known ``[..., n_q + k]``, NaN for the rest; nothing if there is none."""
-        values = np.where(fixed, before.q, np.nan)
+        certain = P.diagonal(0, -2, -1)[..., : q.shape[-1]] <= 0
+        values = np.where(certain, q, np.nan)
         if known is not None:
+            shape = np.broadcast_shapes(values.shape[:-1], known.shape[:-1])
+            values = np.broadcast_to(values, (*shape, values.shape[-1])).copy()
             values[..., : self.n_q] = np.where(np.isnan(known), values[..., : self.n_q], known)
-            values = self.angles.nearest(values, before.q) if self.angles else values
+            values = self.angles.nearest(values, q) if self.angles else values
         return None if np.isnan(values).all() else values
 
 
 @kernel(entry=True, allocates=True)
-def _prior_information(P, information):
-    """Write the inverse of the covariance of the configuration; rows of what is certain are zero."""
-    n = information.shape[1]
-    L, column = np.zeros((n, n)), np.zeros(n)
-    for k in range(len(P)):
-        for a in range(n):
+def _predict(F, Q, limits, x, P, start, information):
+    """Carry mean and covariance over a time, in place; write where a fit of the first coordinates starts.
+
+    That is their mean within limits, with the inverse of their covariance; rows of what is certain are zero. Return
+    whether there are such.
+    """
+    m, n, certain = len(F), limits.shape[1], False
+    moved, turned, L, column = np.zeros(m), np.zeros((m, m)), np.zeros((n, n)), np.zeros(n)
+    for k in range(len(P) // m):
+        y, C = x[k * m : (k + 1) * m], P[k * m : (k + 1) * m]
+        _sparse_product(F, C, turned)
+        for a in range(m):
+            moved[a] = 0.0
+            for b in range(m):
+                moved[a] += F[a, b] * y[b]
+        y[:] = moved
+        for a in range(m):
+            for b in range(m):
+                C[a, b] = turned[b, a]
+        _sparse_product(F, C, turned)
+        for a in range(m):
             for b in range(a + 1):
-                L[a, b] = P[k, a, b] if P[k, a, a] > 0.0 and P[k, b, b] > 0.0 else 0.0
-            if not P[k, a, a] > 0.0:
-                L[a, a] = 1.0
-        cholesky(L, 1e-300)
-        for b in range(n):
-            column[:] = 0.0
-            column[b] = 1.0 if P[k, b, b] > 0.0 else 0.0
-            solve(L, column)
-            for a in range(n):
-                information[k, a, b] = column[a]
+                C[a, b] = C[b, a] = 0.5 * (turned[a, b] + Q[a, b] + turned[b, a] + Q[b, a])
         for a in range(n):
-            for b in range(a):
-                information[k, a, b] = information[k, b, a] = 0.5 * (
-                    information[k, a, b] + information[k, b, a]
-                )
+            start[k * n + a] = min(max(y[a], limits[0, a]), limits[1, a])
+            certain = certain or not C[a, a] > 0.0
+        _invert_prior(C, L, column, information[k * n : (k + 1) * n])
+    return certain
+
+
+@kernel
+def _sparse_product(F, C, out):
+    """Write ``F C``; most of a transition is zero."""
+    m = len(F)
+    for a in range(m):
+        for c in range(m):
+            out[a, c] = 0.0
+        for b in range(m):
+            if F[a, b] != 0.0:
+                for c in range(m):
+                    out[a, c] += F[a, b] * C[b, c]
+
+
+@kernel
+def _invert_prior(P, L, column, information):
+    """Write the inverse of the covariance of the configuration; rows of what is certain are zero."""
+    n = len(information)
+    for a in range(n):
+        for b in range(a + 1):
+            L[a, b] = P[a, b] if P[a, a] > 0.0 and P[b, b] > 0.0 else 0.0
+        if not P[a, a] > 0.0:
+            L[a, a] = 1.0
+    cholesky(L, 1e-300)
+    for b in range(n):
+        for a in range(n):
+            column[a] = 1.0 if a == b and P[b, b] > 0.0 else 0.0
+        solve(L, column)
+        for a in range(n):
+            information[a, b] = column[a]
+    for a in range(n):
+        for b in range(a):
+            information[a, b] = information[b, a] = 0.5 * (information[a, b] + information[b, a])
 
 
 @kernel(entry=True, allocates=True)
-def _update(x, P, q, C, information):
-    """Move mean and covariance to the posterior ``q``, ``C``: what is no configuration follows by regression."""
-    n, m = q.shape[1], x.shape[1]
+def _update(by_bounds, x, P, q, C, information):
+    """Move mean and covariance to the posterior ``q``, ``C``: what is no configuration follows by regression.
+
+    Return whether variances may be beyond those that the bounds leave.
+    """
+    n, m, open_ = C.shape[1], P.shape[1], False
     gain, new = np.zeros((m - n, n)), np.zeros((m - n, n))
-    for k in range(len(x)):
-        for v in range(m - n):
-            for a in range(n):
-                total = 0.0
-                for b in range(n):
-                    total += P[k, n + v, b] * information[k, b, a]
-                gain[v, a] = total
-        for v in range(m - n):
-            for a in range(n):
-                x[k, n + v] += gain[v, a] * (q[k, a] - x[k, a])
-                total = 0.0
-                for b in range(n):
-                    total += gain[v, b] * C[k, b, a]
-                new[v, a] = total
-        for v in range(m - n):
-            for w in range(v + 1):
-                total = 0.5 * (P[k, n + v, n + w] + P[k, n + w, n + v])
-                for a in range(n):
-                    total += new[v, a] * gain[w, a] - gain[v, a] * P[k, a, n + w]
-                P[k, n + v, n + w] = P[k, n + w, n + v] = total
+    for k in range(len(P) // m):
+        at = slice(k * n, (k + 1) * n)
+        y, V = x[k * m : (k + 1) * m], P[k * m : (k + 1) * m]
+        _regress(y, V, q[at], C[at], information[at], gain, new)
+        share = 0.0
+        for a in range(len(by_bounds)):
+            share += by_bounds[a] * V[a, a]
+        open_ = open_ or not share <= 1.0
+    return open_
+
+
+@kernel
+def _regress(x, P, q, C, information, gain, new):
+    n, rest = len(q), len(gain)
+    for v in range(rest):
         for a in range(n):
-            x[k, a] = q[k, a]
-            for v in range(m - n):
-                P[k, n + v, a] = P[k, a, n + v] = new[v, a]
+            gain[v, a] = 0.0
             for b in range(n):
-                P[k, a, b] = 0.5 * (C[k, a, b] + C[k, b, a])
+                gain[v, a] += P[n + v, b] * information[b, a]
+    for v in range(rest):
+        for a in range(n):
+            x[n + v] += gain[v, a] * (q[a] - x[a])
+            new[v, a] = 0.0
+            for b in range(n):
+                new[v, a] += gain[v, b] * C[b, a]
+    for v in range(rest):
+        for w in range(v + 1):
+            total = 0.5 * (P[n + v, n + w] + P[n + w, n + v])
+            for a in range(n):
+                total += new[v, a] * gain[w, a] - gain[v, a] * P[a, n + w]
+            P[n + v, n + w] = P[n + w, n + v] = total
+    for a in range(n):
+        x[a] = q[a]
+        for v in range(rest):
+            P[n + v, a] = P[a, n + v] = new[v, a]
+        for b in range(n):
+            P[a, b] = 0.5 * (C[a, b] + C[b, a])
 
 
-def smoothed(method: MotionModel, states: Sequence[Any], restarted: Any = None) -> list[Any]:
+def smoothed(method: MotionModel, states: Sequence[Any], restarted: Array | None = None) -> list[Any]:
     r"""Return what later readings say about earlier states: Rauch, Tung and Striebel.
 
     With the state :math:`x_k, P_k` after its own readings, the transition :math:`F` to the next one and

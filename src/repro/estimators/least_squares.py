@@ -18,30 +18,38 @@ from __future__ import annotations
 
 import copy
 import math
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
 from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
+    Tuned,
     batch_of,
     described,
     each,
     evenly,
     fixed_coordinates,
+    in_line,
     incoming,
     information_of_bounds,
     known_coordinates,
     model_of,
     parts_of,
+    spread,
     start,
 )
 from repro.sensing import difference, evaluate, room_for, unpack
 
-_DAMPING, _COST, TURN, _DONE, CHI2, _DETERMINED, _USED, RANK, BOUND, _WEAK = range(10)
-_FIELDS = 10
+_DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
+"""What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
+_FIELDS, _COUNTS = 7, 4
+USED, MISSING, DOF, BOUND = range(4)
+"""How many readings it used and did not; to how many the estimate could not adapt itself; how many bounds stop it."""
 _EPS, _TINY = 2.0**-52, 2.0**-1022
 _WELL_DETERMINED = 1e-6
 """Smallest pivot of the scaled information for which its inverse is taken directly."""
@@ -53,7 +61,7 @@ class LeastSquaresState(NamedTuple):
     q: Array | None
 
 
-class LevenbergMarquardt:
+class LevenbergMarquardt(Tuned):
     r"""Estimator that minimises the squared residuals in units of the noise, within bounds.
 
     Every time step starts at the last estimate. The covariance is the inverse of :math:`J^T S^{-1} J` and of what the
@@ -100,9 +108,9 @@ class LevenbergMarquardt:
     def __init__(
         self,
         sensing: Any,
-        lower: Any = None,
-        upper: Any = None,
-        noise: Any = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
         *,
         iterations: int = 50,
         tolerance: float = 1e-4,
@@ -113,6 +121,7 @@ class LevenbergMarquardt:
         lower, upper = (numbers(x, name, owner, (None,)) for x, name in ((lower, "lower"), (upper, "upper")))
         if lower.shape != upper.shape or not (lower <= upper).all():
             raise bad_input("lower, upper", owner, "ordered bounds", f"{lower} and {upper}")
+        self.lower, self.upper = lower, upper
         self.noise = numbers(noise, "noise", owner)
         expected = "positive, one number or one for each reading"
         require(self.noise.ndim < 2 and (self.noise > 0).all(), "noise", owner, expected, noise)
@@ -121,20 +130,49 @@ class LevenbergMarquardt:
         self.iterations, self.tolerance, self.starts = iterations, tolerance, starts
         self.model = model_of(sensing, lower, upper, owner)
         self.n_q = len(lower)
-        self._set_bounds(lower, upper)
 
-    def _set_bounds(self, lower: Array, upper: Array) -> None:
-        self.lower, self.upper = lower, upper
-        self._fixed = fixed_coordinates(self.lower, self.upper)
-        self.angles = FreeAngles(self.model.rotations, self.lower, self.upper)
+    @property
+    def angles(self) -> FreeAngles:
+        """Which coordinates come round again."""
+        return self._angles
+
+    @cached_property
+    def _angles(self) -> FreeAngles:
+        return FreeAngles(self.model.rotations, self.lower, self.upper)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Bounds of the coordinates, infinite for free angles."""
         free = self.angles.free
-        self._low, self._high = np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
-        fixed = self.lower == self.upper
-        self._stops = np.where(fixed, -np.inf, self._low), np.where(fixed, np.inf, self._high)
-        self.by_bounds = information_of_bounds(lower, upper, free)
+        return np.where(free, -np.inf, self.lower), np.where(free, np.inf, self.upper)
+
+    @cached_property
+    def by_bounds(self) -> Array:
         """What the bounds say of every coordinate: the inverse of its variance between them."""
-        self._middle = (lower + upper) / 2
-        self._settings: Array | None = None
+        return information_of_bounds(self.lower, self.upper, self.angles.free)
+
+    @cached_property
+    def _fixed(self) -> Array | None:
+        return fixed_coordinates(self.lower, self.upper)
+
+    @cached_property
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of configuration, readings, covariance and what is said of the fit, of one robot."""
+        return (self.n_q,), (self.model.n_readings,), (self.n_q, self.n_q), (_FIELDS,), (_COUNTS,)
+
+    @cached_property
+    def _middle(self) -> Array:
+        return (self.lower + self.upper) / 2
+
+    @cached_property
+    def _settings(self) -> Array:
+        """Bounds, weights of the readings, tolerance and iterations, as the kernels take them."""
+        s = self.model.n_readings
+        fits = self.noise.shape in ((), (s,))
+        expected = f"one number or one for each of {s} readings"
+        require(fits, "noise", type(self).__name__, expected, f"shape {self.noise.shape}")
+        weights = np.broadcast_to(1.0 / self.noise, s)
+        return np.concatenate([*self.limits, weights, [self.tolerance, self.iterations]])
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -148,22 +186,27 @@ class LevenbergMarquardt:
     def widened(self, share: float) -> LevenbergMarquardt:
         """Return this estimator with bounds that are a share of their width farther out on each side."""
         found, more = copy.copy(self), share * (self.upper - self.lower)
-        found._set_bounds(self.lower - more, self.upper + more)
+        found.lower, found.upper = self.lower - more, self.upper + more
         return found
 
-    def init(self, q0: Any = None, seed: int = 0) -> LeastSquaresState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> LeastSquaresState:
         """Return the state at ``q0`` ``[..., n_q]``, or where the robot starts; else the first step searches."""
         if q0 is None and (self.robot is None or self.robot.start is None):
             return LeastSquaresState(None)
-        q0 = self.robot.start if q0 is None and self.robot else q0
-        q0 = start(q0, self.n_q, "LevenbergMarquardt")
-        if ((q0 < self._low) | (q0 > self._high)).any():
-            expected = f"within the bounds {self._low.tolist()} to {self._high.tolist()}"
-            raise bad_input("q0", "LevenbergMarquardt", expected, q0.tolist())
-        return LeastSquaresState(q0)
+        given: Any = self.robot.start if q0 is None and self.robot else q0
+        q, (low, high) = start(given, self.n_q, "LevenbergMarquardt"), self.limits
+        if ((q < low) | (q > high)).any():
+            expected = f"within the bounds {low.tolist()} to {high.tolist()}"
+            raise bad_input("q0", "LevenbergMarquardt", expected, q.tolist())
+        return LeastSquaresState(q)
 
     def step(
-        self, state: LeastSquaresState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: LeastSquaresState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[LeastSquaresState, Estimate]:
         """Minimise from the last estimate.
 
@@ -178,18 +221,11 @@ class LevenbergMarquardt:
         u = incoming(u, mask, "LevenbergMarquardt", self.model.n_readings)
         known = known_coordinates(known, self.n_q, "LevenbergMarquardt", self._fixed)
         q, rest = (self._searched(u, known), self._middle) if state.q is None else (state.q, None)
-        q, u_hat, C, status, n_used = self.fit(q, u, known, rest=rest)
-        q, batch = self.angles.wrapped(q), q.shape[:-1]
-        details = {"iterations": status[:, TURN].reshape(batch), "at_bound": self.at_bound(q, known)}
-        chi2 = status[:, CHI2].reshape(batch)[()]
-        dof = np.maximum(n_used - status[:, RANK].astype(np.int64).reshape(batch)[()], 0)
-        return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, u.shape[-1] - n_used, details)
-
-    def at_bound(self, q: Array, known: Array | None = None) -> Array:
-        """Return which coordinates ``[..., n_q]`` a bound stops; one that is fixed or known is not among them."""
-        low, high = self._stops
-        found = (q <= low) | (q >= high)
-        return found if known is None or known is self._fixed else found & np.isnan(known)
+        q, u_hat, C, at_bound, status, counts = self.fit(q, u, known, rest=rest)
+        q = self.angles.wrapped(q) if self.angles else q
+        details = {"iterations": status[..., TURN], "at_bound": at_bound}
+        chi2, dof, missing = status[..., CHI2][()], counts[..., DOF][()], counts[..., MISSING][()]
+        return LeastSquaresState(q), Estimate(q, C, u_hat, chi2, dof, missing, details)
 
     def fit(
         self,
@@ -200,97 +236,100 @@ class LevenbergMarquardt:
         *,
         rest: Array | None = None,
         by_bounds: Array | None = None,
-    ) -> tuple[Array, Array, Array, Array, Any]:
-        """Return configuration, readings there, covariance, status ``[n, 10]``, readings used.
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Return configuration, readings there, covariance, which bounds stop it, and what is said of the fit.
+
+        The latter are numbers ``[..., 7]``, such as ``CHI2``, and counts ``[..., 4]``, such as ``USED``.
 
         ``prior`` holds means ``[..., n_q]`` and information ``[..., n_q, n_q]`` of a Gaussian prior; what the bounds
         say is no part of the covariance then, unless ``by_bounds`` says so. What the readings leave open stays next
         to ``rest`` ``[..., n_q]``, the start if not given.
         """
-        n, s = self.n_q, u.shape[-1]
-        if self._settings is None or len(self._settings) != 2 * n + s + 2:
-            noise = np.broadcast_to(self._noise_of(s), s)
-            limits = (self._low, self._high, 1.0 / noise, [self.tolerance, self.iterations])
-            self._settings = np.concatenate(limits)
+        n, batch = self.n_q, batch_of(q, u)
+        of_q, of_u, of_C, of_status, of_counts = (
+            self._shapes if not batch else [(*batch, *own) for own in self._shapes]
+        )
         if by_bounds is None:
             by_bounds = self.by_bounds if prior is None else _NOTHING
-        held = None if known is None else ~np.isnan(known)
-        if held is not None and known is not None:
+        held = np.zeros(of_q, np.bool_) if known is None else spread(~np.isnan(known), of_q)
+        if known is not None:
             q = np.where(held, known, q)
-        batch = batch_of(q, u)
-        flat, rows = each(q, batch, n).copy(), np.ascontiguousarray(each(u, batch, s))
-        mean, information = _NO_PRIOR if prior is None else prior
+        mean, information = _NO_PRIOR
         if prior is not None:
-            mean = np.ascontiguousarray(each(mean, batch, n))
-            information = np.ascontiguousarray(each(information, batch, n, n))
-        fixed = _NONE_HELD if held is None else each(held, batch, n).copy()
-        u_hat, C = np.empty((len(flat), s)), np.empty((len(flat), n, n))
-        status = np.empty((len(flat), _FIELDS))
-        arrays = (mean, information, fixed, by_bounds, flat, u_hat, C, status)
-        if self.model.compiled:
-            good = _fit(*self.model.packed, self._settings, rows, *arrays)
-        else:
-            good = self._fit_callable(rows, *arrays)
-        if not good and not np.isfinite(status[:, _COST]).all():
-            expected = "finite where the estimator starts"
-            raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
-        for k in () if good else np.flatnonzero(status[:, _DETERMINED] == 0):
-            C[k] = bounded_inverse(C[k], fixed[k] if len(fixed) else np.zeros(n, dtype=bool))
-        if not good and prior is None:
-            known = None if held is None else each(np.where(held, q, np.nan), batch, n)
-            rest = each(q if rest is None else rest, batch, n)
-            self._settle(rows, known, rest, flat, u_hat, C, status[:, _WEAK] > 0)
-        n_used = status[:, _USED].astype(np.int64).reshape(batch)[()]
-        C = C.reshape(*batch, n, n)
-        return flat.reshape(*batch, n), u_hat.reshape(*batch, s), C, status, n_used
+            mean, information = in_line(batch, spread(prior[0], of_q), spread(prior[1], of_C))
+        found, rows, C, u_hat = spread(q, of_q), spread(u, of_u), np.empty(of_C), np.empty(of_u)
+        at_bound, status, counts = np.empty(of_q, bool), np.empty(of_status), np.empty(of_counts, int)
+        flat = in_line(batch, held, rows, found, C, u_hat, at_bound, status, counts)
+        arrays = (self._settings, by_bounds, mean, information, *flat)
+        good = _fit(*self.model.packed, *arrays) if self.model.compiled else self._fit_callable(*arrays)
+        if not good:
+            rest = None if prior is not None else each(q if rest is None else rest, batch, n)
+            self._settle(rest, each(q, batch, n), *flat)
+        return found, u_hat, C, at_bound, status, counts
 
     def _settle(
-        self, u: Array, known: Any, rest: Array, q: Array, u_hat: Array, C: Array, weak: Array
+        self,
+        rest: Array | None,
+        given: Array,
+        held: Array,
+        u: Array,
+        q: Array,
+        C: Array,
+        u_hat: Array,
+        *found: Array,
     ) -> None:
-        """Fit rows again whose readings leave a direction open, with a prior as wide as the bounds, in place."""
-        if not weak.any():
+        """Say, in place, what is left to say where the readings leave a direction open, or the model is not finite.
+
+        Without a prior such rows are fitted again, with one as wide as the bounds.
+        """
+        n, status = self.n_q, found[1].reshape(-1, _FIELDS)
+        held, u, q, u_hat = (x.reshape(len(given), -1) for x in (held, u, q, u_hat))
+        C = C.reshape(-1, n, n)
+        if not np.isfinite(status[:, CHI2]).all():
+            expected = "finite where the estimator starts"
+            raise bad_input("sensing", type(self).__name__, expected, "readings that are NaN or infinite")
+        for k in np.flatnonzero(status[:, _DETERMINED] == 0):
+            C[k] = bounded_inverse(C[k], held[k])
+        weak = status[:, _WEAK] > 0
+        if rest is None or not weak.any():
             return
         free = self.angles.free  # the bounds of a free angle have no middle
-        prior = np.where(free, q, rest)[weak], np.diag(np.where(free, 0.0, self.by_bounds))
-        known, left = None if known is None else known[weak], np.where(free, self.by_bounds, 0.0)
-        x, u_hat[weak], P, _, _ = self.fit(q[weak], u[weak], known, prior, by_bounds=left)
+        prior = np.where(free, given, rest)[weak], np.diag(np.where(free, 0.0, self.by_bounds))
+        known, left = np.where(held, given, np.nan)[weak], np.where(free, self.by_bounds, 0.0)
+        x, u_hat[weak], P, *_ = self.fit(q[weak], u[weak], known, prior, by_bounds=left)
         off = np.where(free, 0.0, self.by_bounds * (x - self._middle))
         off = (P @ off[..., None])[..., 0]
         q[weak], C[weak] = x, P + off[:, :, None] * off[:, None, :]
 
-    def _noise_of(self, s: int) -> Array:
-        fits = self.noise.shape in ((), (s,))
-        expected = f"one number or one for each of {s} readings"
-        require(fits, "noise", type(self).__name__, expected, f"shape {self.noise.shape}")
-        return self.noise
-
     def _fit_callable(
-        self, u: Array, mean: Array, information: Array, held: Array, by_bounds: Array, q: Array, *out: Array
-    ) -> bool:
-        u_hat, C, status = out
-        n, count = self.n_q, len(q)
-        status[:], status[:, _COST], status[:, TURN] = 0.0, np.inf, -1.0
-        x, g, A = q.copy(), np.zeros((count, n)), np.zeros((count, n, n))
-        todo = np.arange(count)
+        self, settings: Array, by_bounds: Array, mean: Array, information: Array, held: Array, u: Array,
+        q: Array, C: Array, u_hat: Array, at_bound: Array, status: Array, counts: Array,
+    ) -> bool:  # fmt: skip
+        """Fit every member of a batch, whose model is no kernel."""
+        n = self.n_q
+        todo, rows = np.arange(len(C) // n), u.reshape(len(C) // n, -1)
+        status.reshape(-1, _FIELDS)[:] = _UNTRIED
+        x, g, A = q.copy(), np.zeros(len(q)), np.zeros((len(q), n))
         while len(todo):
-            hat, J = self.model.linearise(x[todo])
-            r = self.model.difference(u[todo], hat)
-            arrays = (mean, information, held, x, q, u_hat, A, g, status)
-            _advance_all(todo, np.ascontiguousarray(hat), r, np.ascontiguousarray(J), self._settings, *arrays)
-            todo = todo[status[todo, _DONE] == 0]
-        return _finish_all(self._settings, A, q, held, by_bounds, status, C)
+            hat, J = self.model.linearise(x.reshape(-1, n)[todo])
+            r = self.model.difference(rows[todo], hat)
+            slopes = np.ascontiguousarray(hat), r, np.ascontiguousarray(J)
+            _advance_all(todo, *slopes, settings, mean, information, held, x, q, u_hat, A, g, status)
+            todo = todo[status[todo * _FIELDS + _DONE] == 0]
+        return _finish_all(settings, by_bounds, A, q, held, C, at_bound, status, counts)
 
     def _searched(self, u: Array, known: Array | None) -> Array:
         """Best of the fits from starts that fill the bounds evenly: an additive recurrence, the middle first."""
         n, starts = self.n_q, evenly(self.lower, self.upper, self.starts)
         starts = starts.reshape(-1, *(1,) * (u.ndim - 1), n)
-        q, _, _, status, _ = self.fit(starts, u, known)
-        best = status[:, _COST].reshape(q.shape[:-1]).argmin(0)
+        q, _, _, _, status, _ = self.fit(starts, u, known)
+        best = status[..., CHI2].argmin(0)
         return np.take_along_axis(q, best[None, ..., None], axis=0)[0]
 
 
-_NO_PRIOR = (np.zeros((0, 0)), np.zeros((0, 0, 0)))
-_NONE_HELD, _NOTHING = np.zeros((0, 0), dtype=np.bool_), np.zeros(0)
+_NO_PRIOR = (np.zeros(0), np.zeros((0, 0)))
+_NOTHING = np.zeros(0)
+_UNTRIED = np.array([0.0, math.inf, -1.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def bounded_inverse(A: Array, held: Array) -> Array:
@@ -309,74 +348,144 @@ def bounded_inverse(A: Array, held: Array) -> Array:
 
 
 @kernel(entry=True, allocates=True)
-def _fit(ints, floats, weights, settings, u, mean, information, held, by_bounds, q, u_hat, C, status):
-    """Fit every member of a batch."""
+def _fit(
+    ints,
+    floats,
+    weights,
+    settings,
+    by_bounds,
+    mean,
+    information,
+    held,
+    u,
+    q,
+    C,
+    u_hat,
+    at_bound,
+    status,
+    counts,
+):
+    """Fit every member of a batch; members stand one after the other."""
     t = unpack(ints, floats, weights)
-    room, n, s = room_for(t), q.shape[1], u.shape[1]
+    room, n = room_for(t), C.shape[1]
+    s = len(settings) - 2 * n - 2
     x, g, A = np.zeros(n), np.zeros(n), np.zeros((n, n))
     hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
     delta, L, good = np.zeros(n), np.zeros((n, n)), True
-    for k in range(len(q)):
-        status[k, :], status[k, _COST], status[k, TURN] = 0.0, math.inf, -1.0
+    for k in range(len(C) // n):
+        at, of = slice(k * n, (k + 1) * n), slice(k * s, (k + 1) * s)
+        own_mean, own_information, own_held, row, best, best_hat = (
+            mean[at],
+            information[at],
+            held[at],
+            u[of],
+            q[at],
+            u_hat[of],
+        )
+        says = status[k * _FIELDS : (k + 1) * _FIELDS]
+        _begin(says)
         for a in range(n):
-            x[a] = q[k, a]
-        p, h = k if len(mean) else 0, k if len(held) else 0
-        while status[k, _DONE] == 0.0:
+            x[a] = best[a]
+        while says[_DONE] == 0.0:
             evaluate(t, x, n > 0, hat, J, room)
-            difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
+            difference(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
             advance(
-                hat, r, J, settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x, q[k], u_hat[k],
-                A, g, status[k], delta, L,
-            )  # fmt: skip
-        _finish(settings, A, q[k], held[h : h + 1], by_bounds, L, status[k], C[k])
-        good = good and status[k, _DETERMINED] == 1.0 and status[k, _WEAK] == 0.0
+                hat,
+                r,
+                J,
+                settings,
+                own_mean,
+                own_information,
+                own_held,
+                x,
+                best,
+                best_hat,
+                A,
+                g,
+                says,
+                delta,
+                L,
+            )
+        end = _finish(
+            settings, by_bounds, A, best, own_held, L, C[at], at_bound[at], says, counts[_COUNTS * k :]
+        )
+        good = good and end
     return good
 
 
 @kernel(entry=True, allocates=True)
 def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status):
-    n = x.shape[1]
+    s, n = J.shape[1:]
     delta, L = np.zeros(n), np.zeros((n, n))
     for i in range(len(todo)):
         k = todo[i]
-        p, h = k if len(mean) else 0, k if len(held) else 0
+        at, of, says = (
+            slice(k * n, (k + 1) * n),
+            slice(k * s, (k + 1) * s),
+            status[k * _FIELDS : (k + 1) * _FIELDS],
+        )
         advance(
-            hat[i], r[i], J[i], settings, mean[p : p + 1], information[p : p + 1], held[h : h + 1], x[k], q[k],
-            u_hat[k], A[k], g[k], status[k], delta, L,
+            hat[i], r[i], J[i], settings, mean[at], information[at], held[at], x[at], q[at], u_hat[of], A[at], g[at],
+            says, delta, L,
         )  # fmt: skip
 
 
 @kernel(entry=True, allocates=True)
-def _finish_all(settings, A, q, held, by_bounds, status, C):
-    L, good = np.zeros(A.shape[1:]), True
-    for k in range(len(A)):
-        h = k if len(held) else 0
-        _finish(settings, A[k], q[k], held[h : h + 1], by_bounds, L, status[k], C[k])
-        good = good and status[k, _DETERMINED] == 1.0 and status[k, _WEAK] == 0.0
+def _finish_all(settings, by_bounds, A, q, held, C, at_bound, status, counts):
+    n, good = A.shape[1], True
+    L = np.zeros((n, n))
+    for k in range(len(A) // n):
+        at, says = slice(k * n, (k + 1) * n), status[k * _FIELDS : (k + 1) * _FIELDS]
+        good = (
+            _finish(
+                settings,
+                by_bounds,
+                A[at],
+                q[at],
+                held[at],
+                L,
+                C[at],
+                at_bound[at],
+                says,
+                counts[_COUNTS * k :],
+            )
+            and good
+        )
     return good
 
 
 @kernel
-def _finish(settings, A, q, held, by_bounds, L, status, C):
-    """Write the covariance, how many coordinates a bound stopped, and how many directions the readings see."""
-    n, free, open_ = len(q), 0, 0
-    status[BOUND] = 0.0
+def _begin(status):
+    for i in range(_FIELDS):
+        status[i] = 0.0
+    status[CHI2], status[TURN] = math.inf, -1.0
+
+
+@kernel
+def _finish(settings, by_bounds, A, q, held, L, C, at_bound, status, counts):
+    """Write the covariance, which bounds stopped the fit, and how many directions the readings see.
+
+    Return whether nothing is left open.
+    """
+    n, free, open_, stopped = len(q), 0, 0, 0
     for a in range(n):
-        stays = False
-        for h in range(len(held)):
-            stays = stays or held[h, a]
         bound = q[a] <= settings[a] or q[a] >= settings[n + a]
-        status[BOUND] += 1.0 if bound and not stays else 0.0
-        L[a, a] = 0.0 if stays or (len(by_bounds) and by_bounds[a] == 0.0) else 1.0
-        free += 0 if bound or stays else 1
-        open_ += 0 if stays else 1
-    status[RANK], status[_WEAK] = free, 0.0
+        at_bound[a] = bound and not held[a]
+        L[a, a] = 0.0 if held[a] or (len(by_bounds) and by_bounds[a] == 0.0) else 1.0
+        stopped += 1 if at_bound[a] else 0
+        free += 0 if bound or held[a] else 1
+        open_ += 0 if held[a] else 1
+    status[_WEAK] = 0.0
     if len(by_bounds):
         seen = _directions_seen(A, by_bounds, L)
-        status[RANK], status[_WEAK] = min(seen, free), open_ - seen
+        free, status[_WEAK] = min(seen, free), open_ - seen
         for a in range(n):
             A[a, a] += by_bounds[a]
-    status[_DETERMINED] = invert(A, held, L, C) if status[_COST] < math.inf else 0.0
+    counts[USED] = int(status[_USED])
+    counts[MISSING] = len(settings) - 2 * n - 2 - counts[USED]
+    counts[DOF], counts[BOUND] = max(counts[USED] - free, 0), stopped
+    status[_DETERMINED] = invert(A, held, L, C) if status[CHI2] < math.inf else 0.0
+    return status[_DETERMINED] == 1.0 and status[_WEAK] == 0.0
 
 
 @kernel
@@ -406,45 +515,27 @@ def _directions_seen(A, by_bounds, L):
 def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status, delta, L):
     """Judge the trial ``x``, whose residuals are ``r`` and slopes ``J``, and write the next one to ``x``.
 
-    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean``, ``information`` and ``held`` hold one
-    row or none.
+    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean`` and ``information`` are empty without a
+    prior.
     """
     n, s = len(x), len(r)
     low, high, weight = settings[:n], settings[n : 2 * n], settings[2 * n : 2 * n + s]
     tolerance, iterations = settings[2 * n + s], settings[2 * n + s + 1]
-    chi2 = used = 0.0
-    for j in range(s):
-        if r[j] == r[j]:
-            used += 1.0
-            chi2 += (weight[j] * r[j]) ** 2
-        if not math.isfinite(hat[j]):
-            chi2 = math.inf
-    cost = chi2
-    for p in range(len(mean)):
-        for a in range(n):
-            for b in range(n):
-                cost += (x[a] - mean[p, a]) * information[p, a, b] * (x[b] - mean[p, b])
-    first = status[TURN] < 0.0
+    cost, status[_USED] = _cost(hat, r, weight, mean, information, x)
     # Near the minimum rounding hides which is better: a step that is no worse than that is taken.
-    better = cost < status[_COST] * (1.0 + 8.0 * _EPS)
+    better, damping = cost < status[CHI2] * (1.0 + 8.0 * _EPS), status[_DAMPING]
+    damping = min(max(damping / 10.0 if better else damping * 10.0, 1e-12), 1e12)
+    status[_DAMPING] = 1e-3 if status[TURN] < 0.0 else damping
     status[TURN] += 1.0
-    status[_USED] = used
-    if first:
-        status[_DAMPING] = 1e-3
-    else:
-        status[_DAMPING] = min(
-            max(status[_DAMPING] / 10.0 if better else status[_DAMPING] * 10.0, 1e-12), 1e12
-        )
     if better:
-        status[_COST], status[CHI2] = cost, cost
+        status[CHI2] = cost
         _normal_equations(hat, r, J, weight, x, q, u_hat, A, g)
-        for p in range(len(mean)):
-            for a in range(n):
-                for b in range(n):
-                    g[a] -= information[p, a, b] * (x[b] - mean[p, b])
-                    if b <= a:
-                        A[a, b] += information[p, a, b]
-    if status[TURN] >= iterations or status[_COST] == math.inf:
+        for a in range(n if len(mean) else 0):
+            for b in range(n):
+                g[a] -= information[a, b] * (x[b] - mean[b])
+                if b <= a:
+                    A[a, b] += information[a, b]
+    if status[TURN] >= iterations or status[CHI2] == math.inf:
         status[_DONE] = 1.0
         return
     _damped_step(A, g, status[_DAMPING], low, high, q, held, L, delta)
@@ -457,6 +548,25 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
         size += delta[a] * A[a, a] * delta[a]
     if size <= tolerance * tolerance:
         status[_DONE] = 1.0
+
+
+@kernel
+def _cost(hat, r, weight, mean, information, x):
+    """Return squared residuals in units of the noise, with what the prior is off, and of how many readings.
+
+    They are infinite if the model is.
+    """
+    cost = used = 0.0
+    for j in range(len(r)):
+        if r[j] == r[j]:
+            used += 1.0
+            cost += (weight[j] * r[j]) ** 2
+        if not math.isfinite(hat[j]):
+            cost = math.inf
+    for a in range(len(mean)):
+        for b in range(len(mean)):
+            cost += (x[a] - mean[a]) * information[a, b] * (x[b] - mean[b])
+    return cost, used
 
 
 @kernel
@@ -487,8 +597,7 @@ def _damped_step(A, g, damping, low, high, q, held, L, delta):
     floor = _EPS * largest + _TINY
     for a in range(n):
         stays = (q[a] <= low[a] and g[a] < 0.0) or (q[a] >= high[a] and g[a] > 0.0)
-        for h in range(len(held)):
-            stays = stays or held[h, a]
+        stays = stays or held[a]
         L[a, a] = -1.0 if stays else A[a, a] + damping * max(A[a, a], floor) + floor
         delta[a] = 0.0 if stays else g[a]
     for a in range(n):
@@ -542,13 +651,10 @@ def invert(A, held, L, C):
     n = len(A)
     good = True
     for a in range(n):
-        stays = False
-        for h in range(len(held)):
-            stays = stays or held[h, a]
-        L[a, a] = 0.0 if stays else 1.0
+        L[a, a] = 0.0 if held[a] else 1.0
         for b in range(a + 1):
             C[a, b] = C[b, a] = A[a, b]
-        good = good and (stays or A[a, a] > 0.0)
+        good = good and (held[a] or A[a, a] > 0.0)
     if not good:
         return 0.0
     for a in range(n):
@@ -572,9 +678,8 @@ def invert(A, held, L, C):
                 total += L[b, c] * L[a, c]
             C[a, b] = total / math.sqrt(A[a, a] * A[b, b])
             C[b, a] = C[a, b]
-    for h in range(len(held)):
-        for a in range(n):
-            if held[h, a]:
-                C[a, :] = 0.0
-                C[:, a] = 0.0
+    for a in range(n):
+        for b in range(n):
+            if held[a] or held[b]:
+                C[a, b] = 0.0
     return 1.0

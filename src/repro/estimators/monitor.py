@@ -15,14 +15,16 @@ at fault is searched for. If none is found, the covariance grows by :math:`\chi^
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.common import Array
 from repro.estimators.base import Estimate, Watched, chosen, grown, incoming, member, with_member
-from repro.estimators.suspects import SPEED, WINDOW, Alarm, Parts, Row, Search, Verdict
+from repro.estimators.suspects import SPEED, WINDOW, Alarm, Case, Parts, Row, Search, Verdict
 
 STATUS = (
     "consistent", "left out", "inconsistent", "frozen", "undetermined", "unchecked", "beyond bounds",
@@ -35,6 +37,7 @@ TRUSTED = (CONSISTENT, LEFT_OUT, UNCHECKED)
 _RARE, _STRICT = 18.4, 4.6
 """Good readings do not fit once in 1e8 rows; after an alarm a part comes back where chance is above 1e-2."""
 _TWICE, _ROOT = 2 * _RARE, 2 * _RARE**0.5
+"""The bound of :func:`limit` is written out where every row passes."""
 _FADE, _FADE_SLOWLY = 0.1, 0.01
 """What every row takes from the sums of the rows before it."""
 _SWOLLEN = 1.1
@@ -46,9 +49,15 @@ _FRAMES = 16
 """So many of the last frames are remembered: a board whose bus hangs may send its old buffers in turn."""
 _LOOK = 8
 """Every so many rows we look whether a single reading stays the same."""
-_NOWHERE, _BARE = np.zeros(1, dtype=bool), np.array(UNCHECKED, dtype=np.int8)
+_NOWHERE = np.zeros(1, dtype=bool)
+_FINE, _BARE = np.array(CONSISTENT, dtype=np.int8), np.array(UNCHECKED, dtype=np.int8)
 _WIDER = 0.5
 """How far beyond its bounds a robot is looked for that touches one [widths of the bounds]."""
+
+
+Number: TypeAlias = float | Array
+Flag: TypeAlias = bool | np.bool_ | Array
+"""A number and a flag of one robot, or of each robot of a batch."""
 
 
 def limit(dof: Any, x: float = _RARE) -> Any:
@@ -56,30 +65,32 @@ def limit(dof: Any, x: float = _RARE) -> Any:
     return dof + 2 * x + 2 * x**0.5 * dof**0.5
 
 
-class Frame(NamedTuple):
-    """What a frame has in common with those before it."""
+class Frames(NamedTuple):
+    """The last frames, and what the newest has in common with those before it."""
 
-    bits: Any
-    same: Any
+    bits: tuple[bytes, ...] | Array = ()
+    """The last frames, bit for bit; the newest at the end."""
+    same: Any = None
     """Whether one of the last frames came again, or nothing if none did."""
-    old: Any
-    since: Any
+    old: int | Array = 0
     """How many rows in a row held one of the last frames, and the time of the last new one [s]."""
-    still: Any
-    stuck: tuple[Array, Array] | None
+    since: Number = 0.0
+    still: tuple[Array, Array] | None = None
+    """How many rows a reading has not changed, and since when [s]; nothing while all of them change."""
+    stuck: tuple[Array, Array] | None = None
     """Which parts, and which readings, stay the same for too long, if any."""
 
 
 class Judgement(NamedTuple):
     """How readings fit their estimate."""
 
-    bad: Any
+    bad: Flag
     """Whether the row, or a sum of rows, is above the bound."""
-    few: Any
+    few: Flag
     """Whether there are fewer readings than unknowns."""
-    bare: Any
+    bare: Flag
     """Whether the fit uses up all readings."""
-    pressed: Any
+    pressed: Flag
     """Whether it fits worse than usual while it touches a bound of the robot."""
     sums: tuple[Any, ...]
 
@@ -90,24 +101,16 @@ class MonitorState(NamedTuple):
     inner: Any
     seed: int
     row: int = 0
-    frames: Any = ()
-    """The last frames, bit for bit."""
-    old: Any = 0
-    """How many rows in a row held one of the last frames, and the time of the last new one [s]."""
-    since: Any = 0.0
+    frames: Frames = Frames()
     sums: tuple[Any, ...] = (0.0, 0.0, 0.0, 0.0)
     """Sums of chi-square over ten rows and a hundred, and of their degrees of freedom."""
-    recent: tuple[Any, ...] = ()
-    """State before, readings, time and known coordinates of the last rows."""
-    good: tuple[Any, Any] = (np.nan, 0.0)
+    recent: tuple[Row, ...] = ()
+    good: tuple[Array | float, Number] = (np.nan, 0.0)
     """Configuration and time of the last row that fitted."""
-    cases: Any = None
+    cases: Mapping[tuple[int, ...], Case] = MappingProxyType({})
+    """What is known of each robot's alarm."""
     last: Any = None
     steps: int = 0
-    still: Any = None
-    """How many rows a reading has not changed, and since when [s]; nothing while all of them change."""
-    stuck: Any = None
-    """Which readings stay the same for too long, if any."""
 
 
 class Monitor:
@@ -151,12 +154,17 @@ class Monitor:
         self._wider = estimator.widened(_WIDER)
         self._blank: dict[str, Any] = {}
 
-    def init(self, q0: Any = None, seed: int = 0) -> MonitorState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> MonitorState:
         """Return the state of the estimator at ``q0``; nothing is held against any part."""
-        return MonitorState(self.estimator.init(q0, seed=seed), seed, cases={})
+        return MonitorState(self.estimator.init(q0, seed=seed), seed)
 
     def step(
-        self, state: MonitorState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: MonitorState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[MonitorState, Estimate]:
         """Step the estimator, and say whether its estimate explains the readings.
 
@@ -169,42 +177,46 @@ class Monitor:
             u = incoming(u, mask, self._owner)
         if not state.steps:
             state = self._begun(state, u)
-        frame = self._compared(state, u, t, known)
-        same, stuck = frame.same, None if frame.stuck is None else frame.stuck[1]
+        frames = self._compared(state, u, t, known)
+        same, stuck = frames.same, frames.stuck
         if stuck is not None:
-            u = np.where(stuck, np.nan, u)
-        if stuck is not None or state.stuck is not None:
+            u = np.where(stuck[1], np.nan, u)
+        if stuck is not None or state.frames.stuck is not None:
             state = self._without_old_cases(state, stuck)
         used = u
         if same is not None and self.needs_time:  # a filter knows it already
             used = np.where(same[..., None], np.nan, u)
         inner, found = self.estimator.step(state.inner, used, t, known=known)
         test = self._tested(state, found, same, known)
-        now = self._after(state, (state.inner, u, known, t), frame, inner, found, test.sums)
+        row = tuple.__new__(Row, (state.inner, u, known, t))  # twice as fast as by their names
+        now = tuple.__new__(MonitorState, (
+            inner, state.seed, state.row + (same is None or not same.all()), frames, test.sums,
+            (*state.recent[1 - WINDOW :], row) if self.needs_time else (row,), (found.q, t), state.cases, found,
+            state.steps + 1,
+        ))  # fmt: skip
         doubt = test.bad | test.few | test.pressed
         if same is None and stuck is None and not (doubt if type(doubt) is bool else doubt.any()):
-            fine = self._nothing(found.q.shape[:-1])["status"]
-            one = found.q.ndim == 1
+            bare = test.bare
             found.details["status"] = (
-                (_BARE if test.bare else fine) if one else np.where(test.bare, _BARE, fine)
+                (_BARE if bare else _FINE) if type(bare) is bool else np.where(bare, _BARE, _FINE)
             )
             return now, found
-        return self._doubted(state, now, frame, test)
+        return self._doubted(state, now, test)
 
-    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: Any) -> Judgement:
+    def _tested(self, state: MonitorState, found: Estimate, same: Any, known: ArrayLike | None) -> Judgement:
         """Hold chi-square against its bound: that of the row, and fading sums over the rows before."""
         spare = self._spare if known is None else self._spare + np.isfinite(known).sum(-1)
         chi2, dof, missing = found.chi2, found.dof, found.missing
-        one = type(chi2) is not np.ndarray
-        if one:  # plain numbers are much faster
-            chi2, dof, missing = float(chi2), float(dof), int(missing)
-        few, bare = missing > spare, dof == 0
         touching = found.details.get("at_bound", _NOWHERE)
-        touching = bool(touching.any()) if one else touching.any(-1)
+        if found.q.ndim == 1:  # plain numbers are much faster
+            chi2, dof, missing, touching = float(chi2), float(dof), int(missing), True in touching.tolist()
+        else:
+            touching = touching.any(-1)
+        few, bare = missing > spare, dof == 0
         if same is not None and self.needs_time:  # what is left out because it came before is not missing
             few, bare = few & ~same, bare & ~same
-        # The bound, written out for speed. Without a reading to spare nothing can contradict.
-        bad = (chi2 > dof + _TWICE + _ROOT * dof**0.5) & (not bare if one else ~bare)
+        # Without a reading to spare nothing can contradict.
+        bad = (chi2 > dof + _TWICE + _ROOT * dof**0.5) & (dof > 0)
         unfit = bad | bare | touching
         weight = 1.0 - (unfit if same is None else unfit | same)  # sums are over rows that fit by themselves
         fast, slow, free, freer = state.sums
@@ -214,7 +226,8 @@ class Monitor:
         if state.cases:
             bad = self._not_calm(bad, state, found)
         pressed = touching & (chi2 > dof + 2.0 + 2.0 * dof**0.5)
-        return Judgement(bad if same is None else bad & ~same, few, bare, pressed, (fast, slow, free, freer))
+        bad = bad if same is None else bad & ~same
+        return tuple.__new__(Judgement, (bad, few, bare, pressed, (fast, slow, free, freer)))
 
     def _not_calm(self, bad: Any, state: MonitorState, found: Estimate) -> Array:
         """Return rows that do not fit, with those soon after an alarm that do not fit well."""
@@ -225,64 +238,56 @@ class Monitor:
                 bad[k] |= again or found.chi2[k] > limit(found.dof[k], _STRICT)
         return bad
 
-    def _after(
-        self, state: MonitorState, row: tuple[Any, ...], frame: Frame, inner: Any, found: Estimate, sums: Any
-    ) -> MonitorState:
-        """Return the state after a row, as if it fitted."""
-        frames = (*state.frames[1 - _FRAMES :], frame.bits) if found.q.ndim == 1 else frame.bits[None]
-        if found.q.ndim > 1 and state.steps:
-            frames = np.concatenate([state.frames[1 - _FRAMES :], frames])
-        same = frame.same
-        return tuple.__new__(MonitorState, (  # twice as fast as by its name
-            inner, state.seed, state.row + (same is None or not same.all()), frames, frame.old, frame.since, sums,
-            (*state.recent[1 - WINDOW :], row) if self.needs_time else (row,),
-            (found.q, row[3]), state.cases, found, state.steps + 1, frame.still, state.stuck,
-        ))  # fmt: skip
-
-    def _compared(self, state: MonitorState, u: Array, t: float, known: Any) -> Frame:
+    def _compared(self, state: MonitorState, u: Array, t: float, known: ArrayLike | None) -> Frames:
         """Compare a frame with those before it, and now and then each reading with the last one."""
-        alone, same, old, since = u.ndim == 1, None, 0, t
+        alone, last, same, old, since = u.ndim == 1, state.frames, None, 0, t
         bits: Any = u.tobytes() if alone else u.view(np.int64)
         if not state.steps:
-            return tuple.__new__(Frame, (bits, None, 0, t, state.still, None))
+            return Frames((bits,) if alone else bits[None], None, 0, t)
         if known is None:
-            again: Any = bits in state.frames if alone else (bits == state.frames).all(-1).any(0)
+            again: Any = bits in last.bits if alone else (bits == last.bits).all(-1).any(0)
             if again if alone else again.any():
-                same, old, since = self._again(state, u, bits, again, t)
-        still, stuck = state.still, None
+                same, old, since = self._again(last, u, bits, again, t)
+        still, stuck = last.still, None
         if still is not None or state.steps % _LOOK == 0:
             still = self._still(state, u, t, same)
             stuck = None if still is None else self._stuck(still, u, t)
-        return tuple.__new__(Frame, (bits, same, old, since, still, stuck))
+        before: Any = last.bits[1 - _FRAMES :]
+        frames = (*before, bits) if alone else np.concatenate([before, bits[None]])
+        return tuple.__new__(Frames, (frames, same, old, since, still, stuck))
 
-    def _again(self, state: MonitorState, u: Array, bits: Any, again: Any, t: float) -> tuple[Any, Any, Any]:
+    def _again(
+        self, last: Frames, u: Array, bits: bytes | Array, again: Any, t: float
+    ) -> tuple[Array, Array, Array]:
         """Return which frames add nothing, how many rows in a row were old, and when the last new one came."""
-        last = bits == state.frames[-1] if u.ndim == 1 else (bits == state.frames[-1]).all(-1)
-        same = again & (last | self._parts.jitters.any()) & ~np.isnan(u).all(-1)
-        return same, np.where(same, state.old + 1, 0), np.where(same, state.since, t)
+        newest = bits == last.bits[-1] if u.ndim == 1 else np.all(bits == last.bits[-1], axis=-1)
+        same = again & (newest | self._parts.jitters.any()) & ~np.isnan(u).all(-1)
+        return same, np.where(same, last.old + 1, 0), np.where(same, last.since, t)
 
-    def _without_old_cases(self, state: MonitorState, stuck: Any) -> MonitorState:
+    def _without_old_cases(self, state: MonitorState, stuck: tuple[Array, Array] | None) -> MonitorState:
         """Forget alarms of robots of which another reading has begun or ceased to stay the same: it was the cause."""
-        none = np.zeros(1, dtype=bool)
-        changed = (none if stuck is None else stuck) != (none if state.stuck is None else state.stuck)
+        now, before = (np.zeros(1, dtype=bool) if x is None else x[1] for x in (stuck, state.frames.stuck))
+        changed = now != before
         cases = {k: case for k, case in state.cases.items() if not np.any(changed[k] if k else changed)}
-        return state._replace(cases=cases, stuck=stuck)
+        return state._replace(cases=cases)
 
-    def _still(self, state: MonitorState, u: Array, t: float, same: Any) -> Any:
+    def _still(
+        self, state: MonitorState, u: Array, t: float, same: Flag | None
+    ) -> tuple[Array, Array] | None:
         """Return for how many rows each reading has not changed and since when, or nothing if all of them change."""
-        frame = state.frames[-1]
-        before = np.frombuffer(frame) if isinstance(frame, bytes) else frame.view(np.float64)
-        stays = u == before
-        if state.still is None and not stays.any():
+        last, frame = state.frames.still, state.frames.bits[-1]
+        stays = u == (np.frombuffer(frame) if isinstance(frame, bytes) else frame.view(np.float64))
+        if last is None and not stays.any():
             return None
-        rows, since = state.still or (np.zeros(u.shape, dtype=int), np.full(u.shape, t))
+        rows, since = last or (np.zeros(u.shape, dtype=int), np.full(u.shape, t))
         stays = stays & self._parts.jitters & ((rows > 0) | (state.steps % _LOOK == 0))
         found = np.where(stays, rows + 1, 0), np.where(stays & (rows > 0), since, t)
         if same is not None:  # a frame that is sent again says nothing new
-            found = np.where(same[..., None], rows, found[0]), np.where(same[..., None], since, found[1])
+            again = np.asarray(same)[..., None]
+            found = np.where(again, rows, found[0]), np.where(again, since, found[1])
         return found if found[0].any() else None
 
-    def _stuck(self, still: Any, u: Array, t: float) -> tuple[Array, Array] | None:
+    def _stuck(self, still: tuple[Array, Array], u: Array, t: float) -> tuple[Array, Array] | None:
         """Return which parts, and which of their readings, have not changed for too long, or nothing."""
         rows, since = still
         there, parts = np.isfinite(u)[..., None, :], self._parts.without[1:]
@@ -293,7 +298,6 @@ class Monitor:
     def _begun(self, state: MonitorState, u: Array) -> MonitorState:
         """Find out about the parts, and give every robot of a batch a state of its own."""
         self._parts = Parts(self.estimator, u.shape[-1])
-        self._nothing(())
         self._spare = u.shape[-1] - (1 if self.needs_time else self._parts.unknowns)
         q = state.inner.q
         if q is None or u.ndim == 1:
@@ -303,7 +307,8 @@ class Monitor:
 
     def stacked(self, details: Sequence[dict[str, Any]]) -> dict[str, Array]:
         """Return what was said of every row, with a leading dimension of time."""
-        said = {name: np.repeat(x[None], len(details), axis=0) for name, x in self._blank.items()}
+        blank = self._nothing(details[0]["status"].shape)
+        said = {name: np.repeat(x[None], len(details), axis=0) for name, x in blank.items()}
         said["status"] = np.array([row["status"] for row in details])
         for k, row in enumerate(details):
             if "suspects" in row:
@@ -321,10 +326,10 @@ class Monitor:
         return self._blank
 
     def _doubted(
-        self, state: MonitorState, now: MonitorState, frame: Frame, test: Judgement
+        self, state: MonitorState, now: MonitorState, test: Judgement
     ) -> tuple[MonitorState, Estimate]:
         """Look at rows that do not fit, that came before, or that have too few readings."""
-        batch, t, same = now.last.q.shape[:-1], now.good[1], frame.same
+        batch, t, same, stuck = now.last.q.shape[:-1], now.good[1], now.frames.same, now.frames.stuck
         said = {name: x.copy() for name, x in self._nothing(batch).items()}
         if np.any(test.bad | test.pressed):
             now = self._searched(state, now, test, said)
@@ -332,8 +337,8 @@ class Monitor:
             now = self._repeated(state, now, same, said)
         for which, status in ((test.few, UNDETERMINED), (test.bare, UNCHECKED)):
             said["status"][np.broadcast_to(which, batch) & (said["status"] == CONSISTENT)] = status
-        if frame.stuck is not None:
-            parts, readings = frame.stuck
+        if stuck is not None:
+            parts, readings = stuck
             said["suspects"] |= parts
             said["left_out"] |= readings
             said["status"][parts.any(-1) & (said["status"] == CONSISTENT)] = LEFT_OUT
@@ -343,7 +348,7 @@ class Monitor:
         now = now._replace(sums=_subsided(now.sums, batch), good=good, last=found)
         if same is not None and not self.needs_time:  # nothing else knows that the robot goes on
             away = np.where(
-                np.broadcast_to(same, batch) & self._parts.jitters.any(), SPEED * (t - now.since), 0.0
+                np.broadcast_to(same, batch) & self._parts.jitters.any(), SPEED * (t - now.frames.since), 0.0
             )
             moved = away[..., None] * self._parts.width
             found = grown(found, moved[..., None] ** 2 * np.eye(self.n_q))
@@ -402,7 +407,7 @@ class Monitor:
     ) -> MonitorState:
         """Return the state where frames that came before add nothing, and say where the board repeats itself."""
         batch, before, last = now.last.q.shape[:-1], state.last.details, now.last
-        inner, since = now.inner, np.broadcast_to(now.since, now.last.q.shape[:-1])
+        inner, since = now.inner, np.broadcast_to(now.frames.since, now.last.q.shape[:-1])
         same = np.broadcast_to(same, batch)
         for name in SAID[:-1] if "suspects" in before else ():
             said[name][same] = before[name][same]
@@ -410,17 +415,18 @@ class Monitor:
             last = grown(last, 0.0, np.where(same, said["growth"], 1.0)[..., None, None])
         else:
             inner, last = chosen(same, state.inner, inner), chosen(same, state.last, last)
-        silent = (now.old >= _FROZEN_ROWS - 1) & (now.good[1] - since > _FROZEN_S + 1e-9)
+        silent = (now.frames.old >= _FROZEN_ROWS - 1) & (now.good[1] - since > _FROZEN_S + 1e-9)
         said["status"][same & self._parts.jitters.any() & silent] = FROZEN
         return now._replace(inner=inner, last=last)
 
 
-def _row_of(row: tuple[Any, ...], k: tuple[int, ...], batch: tuple[int, ...]) -> Row:
+def _row_of(row: Row, k: tuple[int, ...], batch: tuple[int, ...]) -> Row:
     """Return one of the last rows, of one robot."""
-    before, u, known, t = row
-    u = np.broadcast_to(u, (*batch, u.shape[-1]))[k]
-    known = None if known is None else np.broadcast_to(known, (*batch, known.shape[-1]))[k]
-    return Row(member(before, k), u, known, t)
+    u, known = (
+        None if x is None else np.broadcast_to(x, (*batch, np.shape(x)[-1]))[k] for x in (row.u, row.known)
+    )
+    assert u is not None
+    return Row(member(row.before, k), u, known, row.t)
 
 
 def _say(verdict: Verdict, k: tuple[int, ...], said: dict[str, Array]) -> None:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require, say_that_kernels_compile
+from repro.common import Array, bad_input, kernel, numbers, require
 from repro.estimators.base import Estimate, described, fixed_coordinates, incoming, known_coordinates, start
 from repro.parts import Assembly
 
@@ -166,8 +167,8 @@ class ParticleFilter:
     def __init__(
         self,
         sensing: Assembly | Callable[[Array], Any],
-        process_noise: Any = None,
-        noise: Any = None,
+        process_noise: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
         region: Any = None,
         particles: int = 1000,
         estimate: str = "weighted",
@@ -220,7 +221,7 @@ class ParticleFilter:
         rule = ", by the rule of thumb: half of each range in a second" if self._by_rule else ""
         return f"ParticleFilter of {self.particles} particles; process noise {words} [unit per step]{rule}"
 
-    def init(self, q0: Any = None, seed: int = 0) -> ParticleState:
+    def init(self, q0: ArrayLike | None = None, seed: int = 0) -> ParticleState:
         """Return a cloud at rest: around ``q0`` with the process noise of one step, or all over the region.
 
         Where the robot states a start, the cloud is around that.
@@ -256,7 +257,12 @@ class ParticleFilter:
         return ParticleState(q, np.zeros_like(q), seed, 1)
 
     def step(
-        self, state: ParticleState, u: Any, t: float = 0.0, mask: Any = None, known: Any = None
+        self,
+        state: ParticleState,
+        u: ArrayLike,
+        t: float = 0.0,
+        mask: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> tuple[ParticleState, Estimate]:
         """Weigh, predict and resample.
 
@@ -270,7 +276,6 @@ class ParticleFilter:
         InputError
             If readings, mask or known coordinates do not fit the filter, or the sensor model takes no batches.
         """
-        say_that_kernels_compile()
         owner, n, n_q = "ParticleFilter", self.particles, self.n_q
         u, known = incoming(u, mask, owner), known_coordinates(known, n_q, owner, self._fixed)
         s, known, holds = u.shape[-1], np.full(n_q, np.nan) if known is None else known, known is not None

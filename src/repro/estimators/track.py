@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from repro.common import Array, array, bad_input, is_table, numbers, require
 from repro.estimators.base import Estimate, Estimator, NearMagnets, Watched, robot_of
@@ -198,12 +199,12 @@ def _listed(names: Sequence[str], marks: Array) -> Array:
 
 
 def trajectory(
-    at: Any,
-    readings: Any,
+    at: ArrayLike,
+    readings: ArrayLike,
     estimates: Sequence[Estimate],
     robot: Assembly | None,
     monitor: Monitor | None,
-    mask: Any = None,
+    mask: Array | None = None,
 ) -> Trajectory:
     """Put estimates of rows together, with what a monitor said of them."""
     q, covariance, u_hat, chi2, dof, missing, rest = zip(*estimates, strict=True)
@@ -233,13 +234,13 @@ def trajectory(
 def track(
     estimator: Estimator,
     readings: Any,
-    q0: Any = None,
+    q0: ArrayLike | None = None,
     *,
-    times: Any = None,
+    times: ArrayLike | None = None,
     rate_hz: float | None = None,
     seed: int = 0,
-    mask: Any = None,
-    known: Any = None,
+    mask: ArrayLike | None = None,
+    known: ArrayLike | None = None,
     progress: str | None = None,
     monitor: str | None = "auto",
 ) -> Trajectory:
@@ -281,71 +282,85 @@ def track(
     >>> track(root, [[0.25], [1.0], [2.25]]).q.ravel().round(6)
     array([0.5, 1. , 1.5])
     """
-    return run(
-        estimator, readings, q0, times=times, rate_hz=rate_hz, seed=seed, mask=mask, known=known,
-        progress=progress, monitor=monitor,
-    )[0]  # fmt: skip
+    require(isinstance(estimator, Estimator), "estimator", "track", "an estimator", type(estimator).__name__)
+    rows = _rows_of(estimator, readings, times, rate_hz, mask, known, "track")
+    return _run(estimator, rows, q0, seed, progress, monitor, "track")[0]
 
 
-def run(
+class _Rows(NamedTuple):
+    """What a run goes over: readings, times, and where given masks and known coordinates, one row each."""
+
+    u: Array
+    t: Array
+    given: dict[str, Array]
+    robot: Assembly | None
+
+
+def _rows_of(
     estimator: Estimator,
     readings: Any,
-    q0: Any,
-    *,
-    times: Any,
+    times: ArrayLike | None,
     rate_hz: float | None,
-    seed: int,
-    mask: Any,
-    known: Any,
-    progress: str | None,
-    monitor: str | None,
-    smoothing: bool = False,
-) -> tuple[Trajectory, list[Any]]:
-    """Return the estimates, and the states for ``smooth`` alone: the loop of ``track`` and of ``smooth``."""
-    owner = "smooth" if smoothing else "track"
-    require(isinstance(estimator, Estimator), "estimator", owner, "an estimator", type(estimator).__name__)
-    require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
+    mask: ArrayLike | None,
+    known: ArrayLike | None,
+    owner: str,
+) -> _Rows:
+    """Read what is given to a run."""
     robot = robot_of(estimator)
     if robot is not None and is_table(readings):
         readings = read_readings(robot, readings)
     if times is None and rate_hz is None:
         times, rate_hz = _own_times(readings, robot, owner)
-    rows = _rows(readings, robot, owner)
-    at = _times(
-        len(rows), times, rate_hz, owner, needed=isinstance(estimator, Watched) and estimator.needs_time
-    )
-    given = {name: _per_row(x, name, len(rows), owner) for name, x in (("mask", mask), ("known", known))}
+    u = _readings(readings, robot, owner)
+    needed = isinstance(estimator, Watched) and estimator.needs_time
+    at = _times(len(u), times, rate_hz, owner, needed=needed)
+    given = {
+        name: _per_row(x, name, len(u), owner)
+        for name, x in (("mask", mask), ("known", known))
+        if x is not None
+    }
+    return _Rows(u, at, given, robot)
 
+
+def _run(
+    estimator: Estimator,
+    rows: _Rows,
+    q0: ArrayLike | None,
+    seed: int,
+    progress: str | None,
+    monitor: str | None,
+    owner: str,
+) -> tuple[Trajectory, list[Any]]:
+    """Return the estimates, and the states for ``smooth`` alone: the loop of ``track`` and of ``smooth``."""
+    require(monitor in ("auto", None), "monitor", owner, '"auto" or None', repr(monitor))
     watch = None
     if monitor is not None and isinstance(estimator, Watched):  # not the estimators of papers
         watch = Monitor(estimator)
     method: Estimator = estimator if watch is None else watch
-    state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
+    state, near = method.init(q0, seed=seed), NearMagnets.of(rows.robot, rows.u.shape[-1], q0)
+    given, n, times = rows.given, len(rows.u), rows.t.tolist()
     states, estimates, hidden = [], [], []
     found: dict[str, Any] = {}
-    for k in _with_bar(len(rows), progress):
-        row = rows[k]
+    for k in _with_bar(n, progress):
+        u = rows.u[k]
         if near is not None:
             hidden.append(near.readings())
-            row = np.where(hidden[-1], np.nan, row)
-        state, estimate = method.step(
-            state, row, float(at[k]), **{name: x[k] for name, x in given.items() if x is not None}
-        )
+            u = np.where(hidden[-1], np.nan, u)
+        state, estimate = method.step(state, u, times[k], **{name: x[k] for name, x in given.items()})
         if near is not None:
             near.q = estimate.q
-        if smoothing:
+        if owner == "smooth":
             states.append(state if watch is None else state.inner)
         estimates.append(estimate)
-        if len(estimates) == _AT_ONCE or k == len(rows) - 1:
+        if len(estimates) == _AT_ONCE or k == n - 1:
             some = slice(k + 1 - len(estimates), k + 1)
-            mask = None if given["mask"] is None else given["mask"][some]
-            _write(
-                found, vars(trajectory(at[some], rows[some], estimates, robot, watch, mask)), some, len(rows)
-            )
+            mask = given["mask"][some] if "mask" in given else None
+            part = trajectory(rows.t[some], rows.u[some], estimates, rows.robot, watch, mask)
+            _write(found, vars(part), some, n)
             if near is not None:
-                _write(found["details"], {"too_near": np.array(hidden)}, some, len(rows))
+                _write(found["details"], {"too_near": np.array(hidden)}, some, n)
             estimates, hidden = [], []
-    return Trajectory(**{**found, "times": np.array(at), "readings": rows, "robot": robot}), states
+    return Trajectory(**{**found, "times": np.array(rows.t), "readings": rows.u, "robot": rows.robot}), states
 
 
 def _write(arrays: dict[str, Any], part: dict[str, Any], some: slice, n: int) -> None:
@@ -361,7 +376,7 @@ def _write(arrays: dict[str, Any], part: dict[str, Any], some: slice, n: int) ->
             arrays[name] = values
 
 
-def _rows(readings: Any, robot: Assembly | None, owner: str) -> Array:
+def _readings(readings: Any, robot: Assembly | None, owner: str) -> Array:
     """Return readings ``[t, ..., s]``, NaN for what is missing."""
     rows = numbers(readings, "readings", owner, finite=False)
     if robot is not None and rows.shape[-1:] == (robot.n_readings,):
@@ -372,17 +387,15 @@ def _rows(readings: Any, robot: Assembly | None, owner: str) -> Array:
     return rows
 
 
-def _per_row(values: Any, name: str, n: int, owner: str) -> Array | None:
-    """Return what is given for every time step, if anything is."""
-    if values is None:
-        return None
+def _per_row(values: ArrayLike, name: str, n: int, owner: str) -> Array:
+    """Return what is given for every time step."""
     found = array(values, name, owner)
     words = f"one row for each of {n} time steps"
     require(found.ndim and len(found) == n, name, owner, words, f"shape {found.shape}")
     return found
 
 
-def _own_times(readings: Any, robot: Assembly | None, owner: str) -> tuple[Any, float | None]:
+def _own_times(readings: Any, robot: Assembly | None, owner: str) -> tuple[Array | None, float | None]:
     """Return the times of readings, if they have any, and the rate of the robot."""
     times = getattr(readings, "times", None)
     index = getattr(getattr(readings, "index", None), "dtype", np.dtype(int))  # of a data frame without names
@@ -393,14 +406,14 @@ def _own_times(readings: Any, robot: Assembly | None, owner: str) -> tuple[Any, 
 
 
 def smooth(
-    method: Any,
+    method: object,
     readings: Any,
-    q0: Any = None,
+    q0: ArrayLike | None = None,
     *,
-    times: Any = None,
+    times: ArrayLike | None = None,
     rate_hz: float | None = None,
-    mask: Any = None,
-    known: Any = None,
+    mask: ArrayLike | None = None,
+    known: ArrayLike | None = None,
     progress: str | None = None,
     monitor: str | None = "auto",
 ) -> Trajectory:
@@ -429,13 +442,10 @@ def smooth(
     >>> smooth(method, [[0.0], [np.nan], [1.0]], [0.0], times=[0.0, 0.5, 1.0]).q.ravel().round(3) + 0.0
     array([0. , 0.5, 1. ])
     """
-    require(
-        isinstance(method, MotionModel), "method", "smooth", "a Kalman or rod filter", type(method).__name__
-    )
-    found, states = run(
-        method, readings, q0, times=times, rate_hz=rate_hz, seed=0, mask=mask, known=known, progress=progress,
-        monitor=monitor, smoothing=True,
-    )  # fmt: skip
+    if not (isinstance(method, MotionModel) and isinstance(method, Estimator)):
+        raise bad_input("method", "smooth", "a Kalman or rod filter", type(method).__name__)
+    rows = _rows_of(method, readings, times, rate_hz, mask, known, "smooth")
+    found, states = _run(method, rows, q0, 0, progress, monitor, "smooth")
     details = found.details
     back, n = smoothed(method, states, details.get("restarted")), found.q.shape[-1]
     q = np.stack([state.q[..., :n] for state in back])
@@ -445,7 +455,7 @@ def smooth(
     return Trajectory(**values)
 
 
-def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: bool) -> Array:
+def _times(n: int, times: ArrayLike | None, rate_hz: float | None, owner: str, *, needed: bool) -> Array:
     if times is not None:
         at = numbers(times, "times", owner, (n,))
         late = np.flatnonzero(np.diff(at) <= 0)
@@ -460,7 +470,7 @@ def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: boo
     return np.arange(n) / rate
 
 
-def _with_bar(n: int, label: str | None) -> Any:
+def _with_bar(n: int, label: str | None) -> Iterable[int]:
     if label is None:
         return range(n)
     from rich.progress import track as bar
