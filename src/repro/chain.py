@@ -397,6 +397,13 @@ class Chain:
         expected = f"between 0 and {1e3 * reach:g} mm along segment {where.segment}"
         require(-1e-12 <= where.at <= reach * (1 + 1e-12), name, "Robot", expected, f"{1e3 * where.at:g} mm")
 
+    @property
+    def units(self) -> list[tuple[str, str, float]]:
+        """Name, unit in tables and pictures, and factor to it of every coordinate."""
+        degrees = ("deg", math.degrees(1.0))
+        known = {"kappa": ("rad", 1.0), "phi": degrees, "rotation": degrees}
+        return [(name, *known.get(name.split("_")[0], ("mm", 1e3))) for name in self.coordinates]
+
     def check_q(self, q: ArrayLike, owner: str = "Robot") -> Array:
         """Return configurations ``[..., n_q]`` as float64; refuse another width, NaN and infinity."""
         found = numbers(q, "q", owner)

@@ -80,6 +80,18 @@ def unit_of(cell: str) -> str | None:
     return {"": "", "-": "", **UNITS, **{unit: unit for unit in SECONDS}}.get(text)
 
 
+def unit_behind(text: str) -> str:
+    """Return the unit that stands behind a number by its usual name, or as it stands if nobody knows it.
+
+    Examples
+    --------
+    >>> unit_behind("µT"), unit_behind("Gauss"), unit_behind("furlong")
+    ('uT', 'gauss', 'furlong')
+    """
+    known = unit_of(text)
+    return text if known is None else known
+
+
 def is_time(name: str) -> bool:
     """Return whether a column of this name has times."""
     low = name.lower().strip("_ ")

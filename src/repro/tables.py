@@ -23,7 +23,6 @@ from repro.lines import (
     SECONDS,
     SI,
     TO_MT,
-    UNITS,
     is_clock,
     is_missing,
     is_number,
@@ -34,6 +33,7 @@ from repro.lines import (
     plotted,
     seconds,
     separator,
+    unit_behind,
     unit_of,
     unwrapped,
 )
@@ -423,7 +423,7 @@ def _split(
         split = [("time", "s")] * first + [(f"u{k}", "") for k in range(1, len(row) + 1 - first)]
         remarks.append(f"{owner} has no line of names: its columns are {split[first][0]} to {split[-1][0]}.")
     return [
-        (name, own or UNITS.get(unit.lower(), unit) or ("s" if ":" in cell else ""))
+        (name, own or unit_behind(unit) or ("s" if ":" in cell else ""))
         for (name, own), unit, cell in zip(split, units, row, strict=True)
     ]
 

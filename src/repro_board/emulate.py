@@ -25,7 +25,6 @@ from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
 from repro_board.record import Recording, read_recording
-from repro_board.report import units_of
 from repro_board.wire import encode, text_line
 
 SPEED = 0.5
@@ -219,7 +218,7 @@ def held(poses: Array, hold_s: float, times: Array) -> Array:
 
 def write_poses(path: Path, robot: Robot, poses: Array, hold_s: float) -> None:
     """Write the table of poses that are held to a new file: coordinates, and from when until when it stands."""
-    units = units_of(robot)
+    units = robot.units
     names = [f"{name}_{unit}" for name, unit, _ in units]
     k = np.arange(len(poses))[:, None]
     windows = k * (hold_s + MOVE_S) + hold_s * np.array(WINDOW)

@@ -18,7 +18,6 @@ from scipy.stats import chi2 as chi_square
 from repro.common import Array, require, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
-from repro.robot import Robot
 
 _COVERED = 0.95
 
@@ -64,12 +63,6 @@ def some(words: Sequence[object], most: int = 5) -> str:
 
 
 @cache
-def units_of(robot: Robot) -> list[tuple[str, str, float]]:
-    """Return name, unit in tables and factor to it of every coordinate."""
-    none = np.zeros((0, robot.n_q))
-    return Trajectory(none, none, None, none, none, none, none, robot=robot).units()
-
-
 def suspicions(shape: Trajectory) -> list[str]:
     """Say in sentences which sensors do not fit the others, and what else the monitor found."""
     if shape.status is None or shape.suspects is None:

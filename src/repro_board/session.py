@@ -43,7 +43,6 @@ from repro.estimators.monitor import (
 )
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
-from repro_board.report import units_of
 from repro_board.steps import Step, Steps
 from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
 from repro_board.wire import Parser
@@ -535,7 +534,7 @@ def in_numbers(session: Session) -> tuple[str, ...]:
     sd = np.sqrt(np.maximum(np.diag(slopes @ C @ slopes.T), 0.0))
     widths = np.concatenate([np.full(3, robot.length), np.asarray(robot.upper) - np.asarray(robot.lower)])
     units = [(f"tip {axis}", "mm", 1e3) for axis in "xyz"]
-    units += units_of(robot)
+    units += robot.units
     said = []
     for (name, unit, factor), x, s, w in zip(units, values, sd, widths, strict=True):
         if w == 0:  # fixed by its bounds

@@ -115,14 +115,9 @@ class Steps:
         self._seen: list[Array] = []  # the first rows, by which orientations are checked
         self._sent: float | None = None  # time of the last sample
         self._before: tuple[float, float] | None = None  # time and arrival of the step before [s]
-        self._tick: tuple[float, float | None] = (
-            0.0,
-            None,
-        )  # when the board's clock changed last: time [s], clock [µs]
-        self._alike, self._apart_s = (
-            1,
-            1.0 / (robot.rate_hz or 100.0),
-        )  # its steps, and how far apart such are
+        # When the board's clock changed last: time [s] and clock [µs]; its steps, and how far apart such are.
+        self._tick: tuple[float, float | None] = (0.0, None)
+        self._alike, self._apart_s = 1, 1.0 / (robot.rate_hz or 100.0)
         self._first_s = 0.0
 
     def feed(self, samples: Sequence[Sample], arrived_s: float) -> list[Step]:

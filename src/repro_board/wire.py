@@ -27,6 +27,7 @@ from repro.lines import (
     of_all,
     plotted,
     separator,
+    unit_behind,
     unwrapped,
 )
 
@@ -375,7 +376,7 @@ class _Lines(_Packets):
         if not any(names) and len(self._header) == len(names) and self._separator == separator(form):
             names = list(self._header)
         split = [(name_and_unit(name), unit) for name, (_, unit) in zip(names, found, strict=True)]
-        named = [(name, said or unit) for (name, unit), said in split]
+        named = [(name, unit_behind(said) or unit) for (name, unit), said in split]
         return named, next((k for k, x in enumerate(named) if _time_scale(*x) is not None), None)
 
     def _fix(self, named: list[tuple[str, str]], clock: int | None, form: str) -> None:

@@ -357,6 +357,8 @@ def test_what_a_line_cannot_hold_is_not_written(format):
         ("X: 0.12   Y: 3.4   Z: 5.6 uT", [0.12, 3.4, 5.6], ("X", "Y", "Z"), ("uT", "uT", "uT")),
         ("X: 0.12 \tY: 3.4 \tZ: 1.2 m/s^2 ", [0.12, 3.4, 1.2], ("X", "Y", "Z"), ("m/s^2",) * 3),
         ("Mag X: 1 uT; Mag Y: 2 uT", [1, 2], ("Mag X", "Mag Y"), ("uT", "uT")),
+        ("x: 1.5 µT, y: 2 µT", [1.5, 2], ("x", "y"), ("uT", "uT")),
+        ("x: 1.5 Gauss, y: 2 Gauss", [1.5, 2], ("x", "y"), ("gauss", "gauss")),
         ("Bx (mT) = .5, By (mT) = -1", [0.5, -1], ("Bx", "By"), ("mT", "mT")),
         ("Sensor 1: 5.2, Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),
         ("Sensor 1: 5.2 Sensor 2: 3", [5.2, 3], ("Sensor 1", "Sensor 2"), ("", "")),

@@ -301,11 +301,9 @@ class LevenbergMarquardt(Tuned):
         off = (P @ off[..., None])[..., 0]
         q[weak], C[weak] = x, P + off[:, :, None] * off[:, None, :]
 
-    def _fit_callable(
-        self, settings: Array, by_bounds: Array, mean: Array, information: Array, held: Array, u: Array,
-        q: Array, C: Array, u_hat: Array, at_bound: Array, status: Array, counts: Array,
-    ) -> bool:  # fmt: skip
-        """Fit every member of a batch, whose model is no kernel."""
+    def _fit_callable(self, *arrays: Array) -> bool:
+        """Fit every member of a batch, whose model is no kernel: what ``_fit`` takes and fills."""
+        settings, by_bounds, mean, information, held, u, q, C, u_hat, at_bound, status, counts = arrays
         n = self.n_q
         todo, rows = np.arange(len(C) // n), u.reshape(len(C) // n, -1)
         status.reshape(-1, _FIELDS)[:] = _UNTRIED

@@ -124,8 +124,7 @@ class Trajectory:
         """Return name, unit in tables and pictures, and factor to it of every coordinate."""
         if self.robot is None or self.robot.n_q != self.q.shape[-1]:
             return [(f"q_{k}", "", 1.0) for k in range(1, self.q.shape[-1] + 1)]
-        units = {"kappa": ("rad", 1.0), "phi": ("deg", np.degrees(1.0)), "rotation": ("deg", np.degrees(1.0))}
-        return [(name, *units.get(name.split("_")[0], ("mm", 1e3))) for name in self.robot.coordinates]
+        return self.robot.units
 
     def to_frame(self) -> Any:
         """Return a data frame with names and units: ``time_s``, coordinates, tip, deviations, fit, status, suspects.

@@ -1,4 +1,4 @@
-// Colours of the companion's figures (report/style.mplstyle: Okabe and Ito), and which theme the page has.
+// Colours of the companion's figures (those of Okabe and Ito), and which theme the page has.
 
 export const ROLES = { estimate: "#D55E00", deviation: "#56B4E9", magnets: "#009E73", sensors: "#0072B2", suspects: "#E60000" };
 
