@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book page test mutants lint check-site bench size train soak vendor env clean lock
+.PHONY: help book page test mutants lint check-site bench ratios size train soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -38,6 +38,7 @@ help:
 	@echo 'make lint        style, types and the direction of imports'
 	@echo 'make check-site  open every page of the built site in Chromium and check it'
 	@echo 'make bench       how fast the library is beside what a user would take instead: data/benchmark.csv (some minutes)'
+	@echo 'make ratios      the same ratios once, on few numbers: fails where one misses its target by more than a factor of two'
 	@echo 'make size        count statements'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
 	@echo 'make soak        ten thousand damaged recordings, a hundred killed recorders, minutes and hours live (half an hour)'
@@ -80,6 +81,9 @@ check-site: env
 
 bench: env
 	$(PY) bench/bench.py
+
+ratios: env
+	@$(PY) bench/bench.py --ratios
 
 size: env
 	@$(PY) bench/size.py

@@ -16,6 +16,7 @@ os.environ |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL",
 
 import ast
 import builtins
+import math
 import resource
 import subprocess
 import sys
@@ -33,6 +34,8 @@ import numpy as np
 
 import repro
 from repro.networks import load_network
+from repro.sensing import sensing_of
+from repro.tolerances import Tolerances, placed, priors_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FAST, RATIOS = sys.argv[1:2] == ["--fast"], sys.argv[1:] == ["--ratios"]
@@ -248,6 +251,107 @@ def against_rotation() -> float:
     return ratio(ours, chained)
 
 
+def against_autograd() -> float:
+    """Return the rate of the paper's descent with a network, one segment, against torch's automatic slopes."""
+    import torch
+
+    robot, _, _, q, u = on_t3(1, few(100))
+    network = load_network(ROOT / "data/networks/pcc_nb1_segment1_seed0.safetensors")
+    method = repro.GradientDescent(repro.Sensing(robot, network), 1e-5, 0.3, 8)
+    layers = [(torch.tensor(W).double(), torch.tensor(b).double()) for W, b in network.layers]
+    up, zero = torch.tensor([0.0, 0.0, 1.0]).double(), torch.zeros(1).double()
+
+    def pose(q: Any, at: float) -> Any:  # the exponential of a twist, eq. (15)
+        x, y, length = -q[1:2] / 0.022, q[0:1] / 0.022, 0.11 + q[2:3]
+        twist = [zero, zero, y, zero, zero, zero, -x, zero, -y, x, zero, length, zero, zero, zero, zero]
+        return torch.linalg.matrix_exp(torch.cat(twist).reshape(4, 4) * at)
+
+    def predicted(q: Any) -> Any:
+        magnet, tip, found = pose(q, 0.5), pose(q, 1.0), []
+        for k in range(3):
+            azimuth = torch.tensor([math.cos(2 * math.pi * k / 3), math.sin(2 * math.pi * k / 3), 0.0])
+            apart = tip[:3, 3] + tip[:3, :3] @ (0.013 * azimuth.double()) - magnet[:3, 3]
+            d, o_m, o_s = torch.linalg.norm(apart), magnet[:3, :3] @ up, -tip[:3, :3] @ up
+            cosines = torch.stack([o_s[0], o_s @ o_m, o_s @ apart / d, o_m @ apart / d])
+            angles = torch.arccos(cosines.clip(-1 + 1e-12, 1 - 1e-12))
+            x = torch.cat([angles[:1], d[None], angles[1:]])
+            for W, b in layers[:-1]:
+                x = torch.relu(W @ x + b)
+            found.append(layers[-1][0] @ x + layers[-1][1])
+        return torch.cat(found)
+
+    def descended() -> np.ndarray:
+        x, found = q[0], []
+        for row in torch.tensor(u):
+            trials, b = [], 0.0
+            for _ in range(8):
+                at = torch.tensor(x, requires_grad=True)
+                loss = ((predicted(at) - row) ** 2).mean()
+                loss.backward()
+                trials.append((loss.item(), x))
+                b = at.grad.numpy() + 0.3 * b
+                x = x - 1e-5 * b
+            x = min(trials, key=lambda trial: trial[0])[1]
+            found.append(x)
+        return np.array(found)
+
+    assert np.allclose(predicted(torch.tensor(q[3])).detach(), method.model(q[3]), rtol=0, atol=1e-5)
+    return ratio(partial(repro.track, method, u, q[0]), descended)
+
+
+def against_residuals() -> float:
+    """Return the rate of a calibration in 100 poses against SciPy with the same parameters, priors and readings."""
+    from scipy.optimize import least_squares
+
+    robot, _, _, q, _ = on_t3(1, few(100))
+    seen = repro.simulated_readings(placed(robot, {"magnet 1 x": 3e-4, "sensor 2 azimuth": 0.02}), q)
+    seen = seen + NOISE_MT * np.random.default_rng(0).normal(size=seen.shape)
+    priors = priors_of(robot, Tolerances())
+    std = np.array(list(priors.values()))
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        off = placed(robot, dict(zip(priors, x * std, strict=True)))
+        return np.concatenate([((sensing_of(off)(q) - seen) / NOISE_MT).ravel(), x])
+
+    return ratio(
+        partial(repro.calibrate, robot, q, seen, NOISE_MT),
+        partial(least_squares, residuals, np.zeros(len(std)), xtol=1e-3, ftol=1e-3),
+    )
+
+
+def against_lines() -> float:
+    """Return the rate of a live session, from lines to shapes, against lines that are split and fitted by SciPy."""
+    from scipy.optimize import least_squares
+
+    from repro_board.session import Follower
+    from repro_board.steps import Steps
+    from repro_board.wire import Parser
+
+    robot, low, high, _, u = on_t3(1, few(400))
+    robot = robot.replaced(lower=low, upper=high, noise=NOISE_MT)
+    lines = [",".join(f"{x:.5f}" for x in row).encode() + b"\n" for row in u]
+    sensing = repro.Sensing(robot)
+
+    def live() -> list[Any]:
+        parser, steps, follower = Parser("csv", robot.n_readings), Steps(robot, "arrival"), Follower(robot)
+        rows = [step for k, line in enumerate(lines) for step in steps.feed(parser.feed(line), 0.01 * k)]
+        return [follower.step(step.u, step.time_s) for step in rows]
+
+    def by_hand() -> np.ndarray:
+        x = (low + high) / 2
+        for line in lines:
+            row = np.array([float(text) for text in line.split(b",")])
+            x = least_squares(
+                lambda q, row=row: (sensing(q) - row) / NOISE_MT,
+                x,
+                lambda q: sensing.linearise(q)[1] / NOISE_MT,
+            ).x
+        return x
+
+    assert len(live()) > 0.9 * len(lines)
+    return ratio(live, by_hand)
+
+
 def paper_rows() -> Rows:
     """Yield the rates beside those that two papers print: Mitchell et al. 2021, Martin et al. 2022."""
     q = flower(few(200))
@@ -263,6 +367,20 @@ def paper_rows() -> Rows:
         "pcc_extended, 8 IMUs, one sample at a time, against SciPy's Slerp [times as fast]",
         against_rotation(),
         ">= 4",
+    )
+
+
+def user_rows() -> Rows:
+    """Yield what a user would else write by hand: a descent, a calibration, and a loop over lines of a board."""
+    rate = against_autograd()
+    yield "GradientDescent, network, n_b = 1, against torch's automatic slopes [times as fast]", rate, ">= 30"
+    rate = against_residuals()
+    yield "calibrate, n_b = 1, 100 poses, against SciPy with the same priors [times as fast]", rate, ">= 3"
+    rate = against_lines()
+    yield (
+        "live session, lines to shapes with monitor, against SciPy on split lines [times as fast]",
+        rate,
+        ">= 1",
     )
 
 
@@ -397,7 +515,7 @@ def process_rows() -> Rows:
 def check_ratios() -> None:
     """Measure the ratios once, on few numbers, and end with 1 where a target is missed by more than the slack."""
     missed = 0
-    for capability, figure, target in (*solver_rows(), *filter_rows(), *paper_rows()):
+    for capability, figure, target in (*solver_rows(), *filter_rows(), *paper_rows(), *user_rows()):
         bound = float(target[3:] or "nan")
         if target and "[times as fast]" in capability:
             missed += figure < bound / SLACK
@@ -415,6 +533,7 @@ def main() -> None:
         solver_rows(),
         filter_rows(),
         paper_rows(),
+        user_rows(),
         own_robot_rows(),
         operation_rows(),
         process_rows(),
