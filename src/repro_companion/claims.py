@@ -12,6 +12,7 @@ from repro_companion.show import number, rendered
 
 CLAIMS = Path("data/published/claims.csv")
 """Claims with the section that makes them; {...} in what we find names a number."""
+CLAIM = ["paper", "section", "page", "headline", "claim", "found", "why"]
 NUMBER = re.compile(r"\{([^}]*)\}")
 
 

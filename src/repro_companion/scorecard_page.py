@@ -13,7 +13,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pandas as pd
 
-from repro_companion.claims import claims_of, claims_table, headlines
+from repro_companion.claims import CLAIM, CLAIMS, claims_of, claims_table, headlines
 from repro_companion.papers.fetch import Source, amount, read_sources
 from repro_companion.run import recordings
 from repro_companion.scorecard import COMPARED, KINDS, band, beside, counts, is_error, kinds, papers_of_files
@@ -87,7 +87,7 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
     )
     places = {(row["name"], row["artefact"]): row["place"].rstrip("#") for _, row in index.iterrows()}
     home = findings(card, noise, networks)
-    claims = claims_of(root, card, home)
+    claims = claims_of(root, card, home) if (root / CLAIMS).is_file() else pd.DataFrame(columns=CLAIM)
     texts = {
         "index.md": index_page(index, titles, card),
         "find.md": finder_page(index[index["status"] != "not reproduced"]),
