@@ -15,14 +15,13 @@ import pandas as pd
 from repro_companion.papers import others
 
 STUDIES = Path(__file__).resolve().parents[1] / "data" / "studies"
-NAMES = [name for name, robot in others.robots().items() if robot["licence"] == "none"]
 
 
 def main() -> int:
     """Compute the robots that are named."""
     names = sys.argv[1:]
-    if not names or set(names) - set(NAMES):
-        print(f"Robots: {', '.join(NAMES)}.", file=sys.stderr)
+    if not names or set(names) - others.FETCHED.keys():
+        print(f"Robots: {', '.join(others.FETCHED)}.", file=sys.stderr)
         return 2
     for name in names:
         table = pd.DataFrame(others.computed(name).figures.items(), columns=["figure", "value"])

@@ -2,8 +2,7 @@
 
 ``data/others/robots.toml`` says whose robots they are. The scripts are ``data/others/NAME/use.py``. Each leaves its
 ``figures`` and, where there is a truth, what is judged: errors and the covariances that were stated for them. Three
-robots have no licence: their files are read where they are (``hall_joint/data_07102024/``,
-``soft_arm_3000/csv_files/``, ``imu_chain/data/dataset/``), and elsewhere the page shows figures that were computed
+robots have no licence: their files are read where they are, and elsewhere the page shows figures that were computed
 from them.
 """
 
@@ -32,6 +31,12 @@ from repro_companion.show import number, rendered, sentences
 
 LEVEL = 0.9
 """How much of the truth a stated region is to cover."""
+FETCHED = {
+    "hall_joint": "hall_joint/data_07102024",
+    "soft_arm_3000": "soft_arm_3000/csv_files",
+    "imu_chain": "imu_chain/data/dataset",
+}
+"""Where files without a licence lie below the folder of recordings."""
 
 
 class Found(NamedTuple):
@@ -94,14 +99,12 @@ def _of_toronto(names: Mapping[str, Any]) -> dict[str, float]:
 
 def found(name: str) -> Found:
     """Return what a robot gives: computed where its files are, else as it was committed."""
-    study = project_folder() / "data" / "studies" / f"others_{name}.csv"
-    if not study.is_file():
+    if name not in FETCHED:
         return computed(name)
-    known = {str(figure): float(value) for figure, value in pd.read_csv(study).to_numpy()}
-    if any((recordings_folder() / name).rglob("*.csv")) and (
-        name != "imu_chain" or importlib.util.find_spec("vqf")
-    ):
-        os.environ.setdefault("REPRO_DATA_DIR", str(recordings_folder()))  # a user's script knows no cache
+    known = dict(pd.read_csv(project_folder() / "data" / "studies" / f"others_{name}.csv").to_numpy())
+    ready = name != "imu_chain" or importlib.util.find_spec("vqf")
+    if ready and (recordings_folder() / FETCHED[name]).is_dir():
+        os.environ["REPRO_DATA_DIR"] = str(recordings_folder())  # a user's script knows no cache
         own = computed(name)
         if known.keys() <= own.figures.keys():  # else some files are missing
             return own
