@@ -59,8 +59,8 @@ def script(name: str) -> Path:
 
 def written_lines(path: Path) -> int:
     """Return how many lines a user writes: neither blank nor a comment nor the first, which says what it is."""
-    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()[1:]]
-    return sum(bool(line) and not line.startswith("#") for line in lines)
+    lines = path.read_text(encoding="utf-8").splitlines()[1:]
+    return sum(not line.strip().startswith("#") for line in lines if line.strip())
 
 
 def coverage(error: np.ndarray, C: np.ndarray) -> tuple[float, float]:
@@ -132,10 +132,10 @@ def table(of_rows: pd.DataFrame) -> str:
 
 
 IN_SHORT = """
-**In short.** {{ words[pairs | length] }} sources state an error of the same task. Ours is smaller for
-{{ "all of them" if pairs | sum == pairs | length else words[pairs | sum] }}. The stated regions should cover 90 %. Of
-{{ covered | length }} that we evaluated, {{ good }} cover{{ "s" if good == 1 }} between 85 and 95 %, and the worst
-covers {{ covered | min | fixed(0) }} %.
+**In short.** {{ words[pairs | length] }} sources state an error of the same task, each evaluated in its own way. Ours
+is smaller for {{ "all of them" if pairs | sum == pairs | length else words[pairs | sum] | lower }}. The stated
+regions should cover 90 %. Of {{ covered | length }} that we evaluated, {{ good }} cover{{ "s" if good == 1 }} between
+85 and 95 %, and the worst covers {{ covered | min | fixed(0) }} %.
 """
 
 
@@ -160,8 +160,8 @@ def pictures(of_robots: Mapping[str, Found]) -> pd.DataFrame:
     for name, own in of_robots.items():
         drawn = {look: own.about[look] for look in ("drawn", "bodies") if look in own.about}
         for look, points in (drawn or PICTURES[name](own.names)).items():
-            part = pd.DataFrame(np.array(points), columns=["x_mm", "z_mm"]).assign(look=look)
-            parts.append(part.assign(robot=own.about["robot"].split(",")[0], bar_mm=own.about["bar_mm"]))
+            about = {"look": look, "robot": own.about["robot"].split(",")[0], "bar_mm": own.about["bar_mm"]}
+            parts.append(pd.DataFrame(np.array(points), columns=["x_mm", "z_mm"]).assign(**about))
     return pd.concat(parts, ignore_index=True)
 
 
