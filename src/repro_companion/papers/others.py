@@ -224,6 +224,5 @@ def region(own: Found, case: str) -> pd.DataFrame:
     """Return errors [mm] along the axes, and the half-width of the stated interval of each."""
     error, C = own.names["judged"][case]
     half = np.sqrt(chi2(1).ppf(LEVEL) * np.diagonal(C, axis1=1, axis2=2))
-    axes = "xyz"[: error.shape[1]]
-    columns = [*(f"{axis}_mm" for axis in axes), *(f"half_{axis}_mm" for axis in axes)]
-    return pd.DataFrame(np.concatenate([error, half], axis=1), columns=columns)
+    axes = [form.format(axis) for form in ("{}_mm", "half_{}_mm") for axis in "xyz"[: error.shape[1]]]
+    return pd.DataFrame(np.concatenate([error, half], axis=1), columns=axes)
