@@ -1041,6 +1041,92 @@ def real_arm_still(points: pd.DataFrame) -> Figure:
     return with_legend(figure, panels[0], columns=3)
 
 
+# Robots of others
+
+OTHERS: Mapping[str, Look] = {
+    "shape": {"color": BLUE, "lw": 2.2},
+    "drawn": {"color": PUBLISHED, "lw": 2.2},
+    "sensors": {"color": GREEN, "marker": "s", "ms": 3, "ls": ""},
+    "bodies": {"color": PUBLISHED, "marker": "s", "ms": 4, "ls": ""},
+    "found": {"color": BLUE, "marker": ".", "ms": 4, "ls": ""},
+    "measured": {"color": ORANGE, "marker": "o", "ms": 4.5, "mfc": "none", "ls": ""},
+}
+"""Looks of what the small pictures show."""
+
+
+@style(**NO_GRID)
+def robots_of_others(shapes: pd.DataFrame) -> Figure:
+    """Draw a small picture of each robot, the base below, above a bar of its scale."""
+    names = list(shapes["robot"].unique())
+    rows = -(-len(names) // 4)
+    figure, panels = plt.subplots(rows, 4, figsize=(WIDTH, 2.25 * rows), squeeze=False)
+    for panel in panels.ravel():
+        panel.set_axis_off()
+    for panel, (name, part) in zip(panels.ravel(), shapes.groupby("robot", sort=False), strict=False):
+        for look, own in part.groupby("look", sort=False):
+            panel.plot(own["x_mm"], own["z_mm"], **OTHERS[str(look)])
+        low, high = part[["x_mm", "z_mm"]].min(), part[["x_mm", "z_mm"]].max()
+        size, middle, bar = (high - low).max(), (high + low) / 2, part["bar_mm"].iloc[0]
+        below = middle["z_mm"] - 0.62 * size
+        if bar:
+            panel.plot(middle["x_mm"] + np.array([-0.5, 0.5]) * bar, [below, below], color="0.5", lw=1.5)
+            panel.text(middle["x_mm"], below - 0.05 * size, f"{bar} mm", ha="center", va="top")
+        x, z = (middle[axis] + 0.6 * size * np.array([-1, 1]) for axis in ("x_mm", "z_mm"))
+        panel.set(xlim=x, ylim=(z[0] - 0.2 * size, z[1]), aspect="equal", title=name)
+    lines = [Line2D([], [], label=label, **OTHERS[look]) for look, label in OTHERS_WORDS.items()]
+    return with_legend(figure, lines, columns=4, loc="outside lower center")
+
+
+OTHERS_WORDS = {"shape": "found", "measured": "measured", "sensors": "sensors", "drawn": "drawn by us"}
+
+
+@style()
+def tips_of_trunk(table: pd.DataFrame) -> Figure:
+    """Draw how far the tip is off over the judged frames, a panel for each motion."""
+    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 4.2), sharey=True)
+    for panel, (name, part) in zip(panels, table.groupby("motion", sort=False), strict=True):
+        for column, colour in (("arcs", SKY), ("with what was learned", BLUE)):
+            panel.plot(part["frame"], part[column], color=colour, lw=1.2, label=column)
+        panel.set(title=str(name), ylabel="tip is off [mm]", ylim=(0, None))
+    panels[-1].set_xlabel("frame")
+    return with_legend(figure, panels[0])
+
+
+@style(**LEVELS)
+def markers_of_tentacle(table: pd.DataFrame) -> Figure:
+    """Draw the mean error at each marker, a line for each model."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 2.9))
+    for name, colour in zip(table.columns[1:], (PUBLISHED, BLUE, SKY, GREEN), strict=True):
+        panel.plot(table["marker"], table[name], "o-", color=colour, label=name)
+    panel.set(xlabel="marker, base to tip", ylabel="mean error [mm]", xticks=table["marker"], ylim=(0, None))
+    return with_legend(figure)
+
+
+@style()
+def contacts(table: pd.DataFrame) -> Figure:
+    """Draw the errors of all contacts in the plane, and the median of the stated half-widths as an ellipse."""
+    figure, panel = plt.subplots(figsize=(0.75 * WIDTH, 3.9))
+    panel.plot(table["x_mm"], table["y_mm"], ".", color=BLUE, ms=3, alpha=0.5, label="a contact")
+    angle = np.linspace(0, 2 * np.pi, 100)
+    half = table[["half_x_mm", "half_y_mm"]].median()
+    ring = {"color": ORANGE, "lw": 2, "label": "stated interval of 90 % of each axis, median"}
+    panel.plot(half["half_x_mm"] * np.cos(angle), half["half_y_mm"] * np.sin(angle), **ring)
+    panel.set(xlabel="error in x [mm]", ylabel="error in y [mm]", aspect="equal")
+    return with_legend(figure, columns=1)
+
+
+@style()
+def magnet_errors(table: pd.DataFrame) -> Figure:
+    """Draw the errors of all poses along each axis with their stated intervals."""
+    figure, panels = column_of_panels(3, 4.6, "pose", sharey=True)
+    for panel, axis in zip(panels, "xyz", strict=True):
+        bars = {"yerr": table[f"half_{axis}_mm"], "fmt": "o", "ms": 3, "color": BLUE, "ecolor": SKY}
+        panel.errorbar(range(1, len(table) + 1), table[f"{axis}_mm"], **bars)
+        panel.axhline(0, color="0.5", lw=1)
+        panel.set_ylabel(f"{axis} [mm]")
+    return figure
+
+
 # How many sensors
 
 NOISE_COLOURS = (SKY, BLUE, ORANGE, PINK, GREEN, YELLOW)

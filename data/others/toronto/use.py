@@ -1,57 +1,56 @@
-"""A continuum robot of 466 mm with trackers and gyroscopes: its shape over time, against motion capture."""
+"""A continuum robot with trackers and gyroscopes: its shape, against motion capture."""
 
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import gmean
 
 import repro
 from repro.estimators.rod import Rod, RodFilter, RodSensor
 
 DATA = Path(__file__).parents[2] / "recordings/continuum_robot"
-ARCS = [0.1165, 0.233, 0.3495, 0.466]
-WINDOWS = {"slow_free_space": (19, 29), "impulse_1": (20, 30)}  # what the source evaluates
+LENGTH, ARCS = 0.466, [0.1165, 0.233, 0.3495, 0.466]
+WINDOWS = {"slow_free_space": (19, 29), "impulse_1": (20, 30)}  # of the source [s]
 
-sensors = [
-    RodSensor("pose", [1.9e-3] * 3 + [0.0108] * 3, 0.0),  # errors of the trackers in slow_free_space
-    RodSensor("pose", [3.3e-3] * 3 + [0.0203] * 3, 0.466),
-    RodSensor("gyroscope", 0.2, 0.233),
-    RodSensor("gyroscope", 0.2, 0.466),
-]
-std = [2.0, 0.5, 2 / 9] * 2 + [0.3]  # curvature in three terms about x and y, twist [rad/m]
-arm = RodFilter(Rod(0.466, bending=3, torsion=1), sensors, std, rate=7.0, base_std=(3e-3, 0.02), iterations=1)
+base = RodSensor("pose", [1.9e-3] * 3 + [0.0108] * 3, 0.0)  # errors in slow_free_space
+tip = RodSensor("pose", [3.3e-3] * 3 + [0.0203] * 3, LENGTH)
+gyroscopes = [RodSensor("gyroscope", 0.2, arc) for arc in (LENGTH / 2, LENGTH)]
+std = [2.0, 0.5, 2 / 9] * 2 + [0.3]  # three terms about x and y, twist [rad/m]
+rod, sensors = Rod(LENGTH, bending=3, torsion=1), [base, tip, *gyroscopes]
+arm = RodFilter(rod, sensors, std, rate=7.0, base_std=(3e-3, 0.02), iterations=1)
 
 
-def read(name, window):
+def read(trial, name):
+    """Return times [s] and readings in the window that the source evaluates."""
     table = np.loadtxt(DATA / trial / f"{name}.csv", delimiter=",", skiprows=2)
-    return table[(table[:, 0] >= window[0]) & (table[:, 0] <= window[1])]
+    start, end = WINDOWS[trial]
+    table = table[(table[:, 0] >= start) & (table[:, 0] <= end)]
+    return table[:, 0], table[:, 2:]
 
 
-figures = {}
-for trial, window in WINDOWS.items():
-    seen = [read(name, window) for name in ("aurora0", "aurora1", "gyro_mid", "gyro_ee")]
-    bodies = [read(f"vicon{k}", window) for k in range(1, 5)]
-    times = np.unique(np.concatenate([part[:, 0] for part in seen + bodies]))
+figures, judged, shapes = {}, {}, {}
+for trial in WINDOWS:
+    seen = [read(trial, name) for name in ("aurora0", "aurora1", "gyro_mid", "gyro_ee")]
+    bodies = [read(trial, f"vicon{k}") for k in range(1, 5)]
+    times = np.unique(np.concatenate([t for t, _ in seen + bodies]))
     u = np.full((len(times), 18), np.nan)  # a row without a reading is predicted
-    for part, first in zip(seen, (0, 6, 12, 15)):
-        u[np.searchsorted(times, part[:, 0]), first : first + part.shape[1] - 2] = part[:, 2:]
-    for name, found in (
-        ("filter", repro.track(arm, u, times=times)),
-        ("smoother", repro.smooth(arm, u, times=times)),
-    ):
-        p, C = arm.positions(found.q, found.covariance, ARCS)
-        rows = [np.searchsorted(times, body[:, 0]) for body in bodies]
-        truth = [
-            RigidTransform.from_exp_coords(np.roll(body[:, 2:], 3, axis=1)).translation for body in bodies
-        ]
-        e = [p[row, k] - x for k, (row, x) in enumerate(zip(rows, truth))]
-        inside = [
-            np.einsum("ti,ti->t", x, np.linalg.solve(C[row, k], x[..., None])[..., 0]) < 6.25
-            for k, (row, x) in enumerate(zip(rows, e))
-        ]
-        rms = np.mean([1e3 * np.sqrt((x**2).sum(1).mean()) for x in e])
-        figures[f"{trial}, {name}, rms [mm]"] = rms
-        figures[f"{trial}, {name}, 90 % ellipsoids hold [%]"] = 100 * np.concatenate(inside).mean()
-for name, value in figures.items():
-    print(f"{name} {value:.2f}")
-print("the source's filter 11.46 mm, window 11.00 mm, raw, geometric mean of four trials")
+    for (t, values), first in zip(seen, (0, 6, 12, 15)):
+        u[np.searchsorted(times, t), first : first + values.shape[1]] = values
+    found, parts = repro.track(arm, u, times=times), []
+    p, C = arm.positions(found.q, found.covariance, ARCS)
+    for k, (t, logarithms) in enumerate(bodies):
+        frames = np.searchsorted(times, t)
+        truth = RigidTransform.from_exp_coords(np.roll(logarithms, 3, axis=1))
+        parts.append((1e3 * (p[frames, k] - truth.translation), 1e6 * C[frames, k]))
+    rms = [np.sqrt((error**2).sum(axis=1).mean()) for error, _ in parts]
+    judged[trial] = tuple(np.concatenate(part) for part in zip(*parts))
+    shapes[trial] = found, frames, p[frames]
+    figures[f"{trial}_rms_mm"] = np.mean(rms)
+    told = found.status != "undetermined"  # else too little was read
+    figures[f"{trial}_consistent_percent"] = (
+        100 * (found.status[told] == "consistent").mean()
+    )
+figures["mean_mm"] = gmean([figures[f"{trial}_rms_mm"] for trial in WINDOWS])
+print(pd.Series(figures).round(2).to_string())

@@ -1,0 +1,144 @@
+"""Robots of others: what a user writes runs in an empty folder, and reaches what the page promises."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from repro_companion.papers import others
+from repro_companion.run import project_folder, recordings_folder
+
+ROBOTS = others.robots()
+COMMITTED = [name for name, about in ROBOTS.items() if about["licence"] == "MIT"]
+FETCHED = [name for name in ROBOTS if name not in COMMITTED]
+BARS = {
+    "toronto": {"mean_mm": 11.0},
+    "asl_trunk": {"adiabatic_tip_median_mm": 5.0, "controlled_tip_median_mm": 5.0},
+    "tentacle": {},
+    "eflesh": {"x_rms_mm": 0.55, "y_rms_mm": 0.55},
+    "magnet_array": {"position_mean_mm": 0.101, "axis_mean_deg": 0.29},
+    "hall_joint": {"cycle_1_mean_rms_deg": 0.53},
+    "soft_arm_3000": {"arcs_3_median_mm": 0.94},
+    "imu_chain": {"trial1_rigid_joint_4_rms_mm": 55.0},
+}
+"""What the printed figures may be at most: errors of the sources, or of what was tried before."""
+
+
+def run(name: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a user's script from an empty folder."""
+    kept = {key: value for key, value in os.environ.items() if key != "REPRO_DATA_DIR"}
+    command = [sys.executable, "-W", "error", str(others.script(name))]
+    return subprocess.run(
+        command, cwd=folder, env=kept | environment, capture_output=True, text=True, check=False
+    )
+
+
+def printed(said: str) -> dict[str, float]:
+    """Return the figures that a script prints, a line each."""
+    return {key: float(value) for key, value in re.findall(r"^(\w+) +([\d.]+)$", said, re.MULTILINE)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMITTED)
+def test_what_a_user_writes_runs_in_an_empty_folder_within_its_bars(name, tmp_path):
+    done = run(name, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    found = printed(done.stdout)
+    assert all(found[key] <= bar for key, bar in BARS[name].items())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", FETCHED)
+def test_where_files_have_no_licence_the_script_reads_what_was_fetched(name, tmp_path):
+    place = recordings_folder()
+    if not any((place / name).rglob("*.csv")):
+        pytest.skip(f"`repro fetch {name}` brings the files")
+    if name == "imu_chain" and not importlib.util.find_spec("vqf"):
+        pytest.skip("`pip install vqf` brings what turns raw readings into orientations")
+    done = run(name, tmp_path, REPRO_DATA_DIR=str(place))
+    assert (done.returncode, done.stderr) == (0, "")
+    found = printed(done.stdout)
+    assert all(found[key] <= bar for key, bar in BARS[name].items())
+
+
+@pytest.mark.parametrize("name", FETCHED)
+def test_without_the_files_the_script_says_what_to_do_in_one_sentence(name, tmp_path):
+    done = run(name, tmp_path)
+    missing_vqf = name == "imu_chain" and not importlib.util.find_spec("vqf")
+    words = "`pip install vqf` first." if missing_vqf else f"`repro fetch {name}`"
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_user_needs_public_names_only_and_not_many_lines():
+    for name in ROBOTS:
+        tree = ast.parse(others.script(name).read_text(encoding="utf-8"))
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom | ast.Import)]
+        modules = [
+            node.module if isinstance(node, ast.ImportFrom) else node.names[0].name for node in imports
+        ]
+        assert not [
+            module for module in modules if module and module.startswith(("repro_board", "repro_companion"))
+        ]
+        names = [alias.name for node in imports for alias in node.names]
+        assert not [one for one in names if one.startswith("_")]
+        assert others.written_lines(others.script(name)) <= 55
+
+
+def test_lines_are_counted_without_blanks_comments_and_the_first(tmp_path):
+    path = tmp_path / "use.py"
+    path.write_text('"""What it is."""\n\n# why\nx = 1  # what\nfor k in range(3):\n    x += k\n')
+    assert others.written_lines(path) == 3
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_regions_of_true_covariances_cover_as_often_as_they_should(dimensions):
+    rng = np.random.default_rng(dimensions)
+    A = rng.normal(size=(dimensions, dimensions))
+    error = rng.normal(size=(20_000, dimensions)) @ A.T
+    covered, longest = others.coverage(error, np.tile(A @ A.T, (20_000, 1, 1)))
+    assert covered == pytest.approx(90, abs=4 * np.sqrt(90 * 10 / 20_000))
+    edge = {1: 1.645, 2: 2.146, 3: 2.500}[dimensions]  # radii that hold 90 % of a standard normal
+    assert longest == pytest.approx(edge * np.linalg.norm(A, 2), rel=1e-3)
+
+
+def test_where_no_file_is_here_figures_are_those_that_were_committed(tmp_path, monkeypatch):
+    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
+    found = {name: others.found(name) for name in FETCHED}
+    table = others.rows(found)
+    assert set(table["computed"]) == {"before"}
+    assert list(table["name"]) == FETCHED
+    for name, own in found.items():
+        study = pd.read_csv(project_folder() / f"data/studies/others_{name}.csv")
+        assert own.figures == dict(zip(study["figure"], study["value"], strict=True))
+        assert f"<code>.venv/bin/repro fetch {name}</code>" in others.table(table)
+    assert set(others.pictures(found)["look"]) == {"drawn", "bodies"}
+
+
+def test_files_without_a_licence_can_be_fetched_from_the_commit_that_the_table_names():
+    sources = json.loads((project_folder() / "data/sources.json").read_text(encoding="utf-8"))
+    for name in FETCHED:
+        about = ROBOTS[name]
+        assert sources[name]["repository"] == f"https://github.com/{about['repository']}"
+        assert sources[name]["commit"].startswith(about["commit"])
+
+
+@pytest.mark.parametrize("name", [name for name in COMMITTED if name not in ("toronto", "magnet_array")])
+def test_a_committed_set_names_its_source_and_has_its_licence(name):
+    folder = project_folder() / "data/recordings" / name
+    words, about = (folder / "README.md").read_text(encoding="utf-8"), ROBOTS[name]
+    assert f"https://github.com/{about['repository']}" in words
+    assert f"`{about['commit']}`" in words
+    assert "Permission is hereby granted, free of charge" in (folder / "LICENSE").read_text(encoding="utf-8")
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 1_000_000
