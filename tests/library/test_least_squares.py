@@ -217,6 +217,17 @@ def test_what_the_readings_do_not_determine_is_what_the_bounds_leave():
     assert found.dof == 0
 
 
+def test_a_bound_that_stops_an_estimate_is_named_where_a_direction_is_open_too():
+    """Of x and y only the sum is read, so that what touches a bound depends on where the rest comes to lie."""
+    low, high = np.array([-1.0, -2.0]), np.array([1.0, 4.0])
+    method = LevenbergMarquardt(lambda q: q[..., :1] + q[..., 1:], low, high, 0.01)
+    sums = np.linspace(-4, 6, 41)[:, None]
+    _, found = method.step(method.init(np.tile([0.7, -0.9], (41, 1))), sums)
+    touches = (found.q <= low) | (found.q >= high)
+    np.testing.assert_array_equal(found.details["at_bound"], touches)
+    assert 0 < touches.sum() < touches.size
+
+
 @given(st.integers(0, 10_000))
 def test_the_rank_is_how_many_directions_the_readings_know_better_than_the_bounds(seed):
     generator = np.random.default_rng(seed)

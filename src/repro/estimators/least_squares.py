@@ -296,10 +296,11 @@ class LevenbergMarquardt(Tuned):
         free = self.angles.free  # the bounds of a free angle have no middle
         prior = np.where(free, given, rest)[weak], np.diag(np.where(free, 0.0, self.by_bounds))
         known, left = np.where(held, given, np.nan)[weak], np.where(free, self.by_bounds, 0.0)
-        x, u_hat[weak], P, *_ = self.fit(q[weak], u[weak], known, prior, by_bounds=left)
+        x, u_hat[weak], P, stopped, *_ = self.fit(q[weak], u[weak], known, prior, by_bounds=left)
         off = np.where(free, 0.0, self.by_bounds * (x - self._middle))
         off = (P @ off[..., None])[..., 0]
         q[weak], C[weak] = x, P + off[:, :, None] * off[:, None, :]
+        found[0].reshape(-1, n)[weak] = stopped
 
     def _fit_callable(self, *arrays: Array) -> bool:
         """Fit every member of a batch, whose model is no kernel: what ``_fit`` takes and fills."""
