@@ -287,9 +287,8 @@ def against_autograd() -> float:
             for _ in range(8):
                 at = torch.tensor(x, requires_grad=True)
                 loss = ((predicted(at) - row) ** 2).mean()
-                loss.backward()
                 trials.append((loss.item(), x))
-                b = at.grad.numpy() + 0.3 * b
+                b = torch.autograd.grad(loss, at)[0].numpy() + 0.3 * b
                 x = x - 1e-5 * b
             x = min(trials, key=lambda trial: trial[0])[1]
             found.append(x)
