@@ -477,6 +477,36 @@ def test_a_calibration_no_better_than_the_description_is_refused_with_likely_cau
         assert re.search("azimuth off by .* times its tolerance", str(e.value))
 
 
+@pytest.mark.slow
+def test_a_rough_drawing_is_calibrated_if_its_tolerances_say_so():
+    """Magnets 8 mm and 30 degrees off: the fit next to the drawing ends in a narrow valley far from the robot."""
+    rough = Tolerances(magnet_position=8e-3, magnet_tilt=0.5, chip_position=5e-3, sensor_tilt=0.3)
+    robot, rng = with_chip(), np.random.default_rng(3)
+    truth = placed(robot, off(robot, rng, rough)).sensing()
+    q = shapes(24, rng)
+    u = truth(q) + 1e-2 * rng.normal(size=(24, 5))
+    found = calibrate(robot, q, u, 1e-2, tolerances=rough, starts=1)
+    assert found.after < 1.5
+    assert found.before > 100
+    new = 0.5 * q
+    before, after = (np.abs(s(new) - truth(new)).mean() for s in (robot.sensing(), found.sensing()))
+    assert after < 0.01 * before
+    with pytest.raises(InputError, match="by .* times its tolerance|standard deviations against"):
+        calibrate(robot, q, u, 1e-2, tolerances=rough)
+
+
+@pytest.mark.slow
+def test_a_constant_field_is_found_if_it_has_a_tolerance_and_named_if_it_has_none():
+    robot, rng = paper_robot(1), np.random.default_rng(0)
+    q = shapes(30, rng, 1)
+    true = placed(robot.replaced(earth=[3.0, -2.0, 3.0]), off(robot, rng))
+    u = true.sensing()(q) + 1e-3 * rng.normal(size=(30, 3))
+    found = calibrate(robot, q, u, 1e-3, tolerances=Tolerances(earth=5.0))
+    assert found.after < 1.5
+    with pytest.raises(InputError, match=r"a constant field of .* mT they fit: state Tolerances\(earth="):
+        calibrate(robot, q, u, 1e-3)
+
+
 @pytest.mark.parametrize("poses", [1, 2, 4, 8, 10, 12, 30])
 def test_a_robot_that_is_as_described_is_no_reason_to_refuse(poses):
     robot = with_chip(tolerance={"tilt": 0.02, "at": 5e-4})

@@ -323,7 +323,7 @@ def run(
     state, near = method.init(q0, seed=seed), NearMagnets.of(robot, rows.shape[-1], q0)
     states, estimates, hidden = [], [], []
     found: dict[str, Any] = {}
-    for k in _with_bar(len(rows), progress):
+    for k in with_bar(len(rows), progress):
         row = rows[k]
         if near is not None:
             hidden.append(near.readings())
@@ -460,7 +460,8 @@ def _times(n: int, times: Any, rate_hz: float | None, owner: str, *, needed: boo
     return np.arange(n) / rate
 
 
-def _with_bar(n: int, label: str | None) -> Any:
+def with_bar(n: int, label: str | None) -> Any:
+    """Return the numbers below ``n``, with a progress bar if it has a label."""
     if label is None:
         return range(n)
     from rich.progress import track as bar
