@@ -322,15 +322,14 @@ class _Poses(NamedTuple):
         return dict(zip(self.names, (z * self.scale).tolist(), strict=True))
 
     def fitted(self, rows: Sequence[str] | None, starts: int, progress: str | None) -> _Fitted:
-        """Return the first fit that can be, or refuse the best one with the cause that is known."""
-        refusals = []
+        """Return the first fit that can be, or refuse the last one with the cause that is known."""
+        last = _refused("none")
         for k, start in enumerate(self.starts(starts, progress)):
             try:
                 return self.judged(start, rows, rough=k > 0)
             except _Refused as error:
-                refusals.append(error)
-        best = min(refusals, key=lambda error: error.cost)
-        raise _Refused(f"{str(best).removesuffix('.')}{self.missing_field(rough=starts > 0)}.") from best
+                last = error
+        raise _Refused(f"{str(last).removesuffix('.')}{self.missing_field(rough=starts > 0)}.") from last
 
     def judged(self, start: Array, rows: Sequence[str] | None, *, rough: bool) -> _Fitted:
         """Return the fit from a start, or refuse it."""
@@ -340,11 +339,7 @@ class _Poses(NamedTuple):
             quality = _by_pose(self.trial(0 * start), fit.last, covariance, len(self.q))
         except _NO_FIT as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
-        try:
-            _judge(fit.z, self.names, quality, rows)
-        except _Refused as error:
-            error.cost = fit.last.cost + fit.z @ fit.z
-            raise
+        _judge(fit.z, self.names, quality, rows)
         return fit, covariance, quality
 
     def missing_field(self, *, rough: bool) -> str:
@@ -454,9 +449,7 @@ def _check_within(robot: Assembly, out: Array, q: Array, rows: Sequence[str] | N
 
 
 class _Refused(InputError):
-    """A fit that cannot be, and what it leaves."""
-
-    cost = math.inf
+    """A fit that cannot be."""
 
 
 _NO_FIT = (np.linalg.LinAlgError, OverflowError, InputError)

@@ -73,11 +73,10 @@ class Rig:
     def __post_init__(self) -> None:
         base, bodies = measured_poses([[self.base]], "Rig")[0], measured_poses([self.bodies], "Rig")
         require(np.isfinite(base).all() and np.isfinite(bodies).all(), "poses", "Rig", "finite", "NaN")
-        none = np.zeros((1 + bodies.shape[1], 6))
         for name, value in (("base", base[0]), ("bodies", bodies[0])):
             object.__setattr__(self, name, value)
         if len(self.deviation) == 0:
-            object.__setattr__(self, "deviation", none)
+            object.__setattr__(self, "deviation", np.zeros((1 + bodies.shape[1], 6)))
 
 
 @dataclass(frozen=True, repr=False)
