@@ -290,9 +290,8 @@ class CallableModel:
     def _matches(call: Callable[[Array], Any], q: Array, expected: Array, tolerance: float = 1e-9) -> bool:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "error", np.exceptions.ComplexWarning
-                )  # it drops what the step is about
+                # Who drops the imaginary part drops the slope.
+                warnings.simplefilter("error", np.exceptions.ComplexWarning)
                 found = np.asarray(call(q))
         except Exception:  # it does not take this: there is another way
             return False
