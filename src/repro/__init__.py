@@ -27,7 +27,7 @@ An estimator takes readings one time step after the other and returns q, how sur
     Drift, Drifting                            errors of sensors that wander, estimated on the way
     calibrate                                  a robot that is not as drawn, from readings in measured poses
     calibrate_imus, calibrated                 headings and mountings of IMUs, from motion capture
-    fit_shape                                  configurations from motion capture of bodies or markers
+    fit_shape, Rig                             configurations from motion capture of bodies or markers
 
 Lengths are metres, angles radians, times seconds, flux densities millitesla. Arrays, lists and data frames are
 taken, arrays are returned; leading dimensions are a batch. What cannot be used is refused by an ``InputError`` that
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
         Drifting as Drifting,
     )
     from repro.estimators.fit_shape import (
+        Rig as Rig,
         fit_shape as fit_shape,
     )
     from repro.estimators.gradient_descent import (
@@ -115,7 +116,7 @@ _HOMES = {
     "common": "InputError",
     "estimators.calibration": "calibrate",
     "estimators.drift": "Drift Drifting",
-    "estimators.fit_shape": "fit_shape",
+    "estimators.fit_shape": "Rig fit_shape",
     "estimators.gradient_descent": "GradientDescent",
     "estimators.imu": "Arm calibrate_imus calibrated exact_arcs pcc_extended rigid_body",
     "estimators.kalman": "KalmanFilter",

@@ -10,7 +10,7 @@ segment moves with the twist of its tip.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -25,6 +25,24 @@ _CONSTANT, _AFFINE, _LINK, _JOINT, _FREE = range(5)
 _KINDS = "of ConstantCurvature, AffineCurvature, Link, BallJoint, FreeBody"
 
 
+_TOLERANCES = {
+    "link": ("offset", "tilt"),
+    "magnet": ("position", "at", "tilt", "polarisation", "size"),
+    "sensor": ("position", "at", "radius", "azimuth", "tilt", "gain", "offset"),
+    "imu": ("at", "tilt", "heading"),
+}
+"""What a part may be off its drawing by: lengths [m], angles [rad], offset [mT]; polarisation, gain are relative."""
+
+
+def check_tolerance(tolerance: Mapping[str, float] | None, owner: str) -> None:
+    """Refuse tolerances of a part that it does not have, or that are no standard deviations."""
+    known = _TOLERANCES[owner.lower()]
+    for name, value in (tolerance or {}).items():
+        require(name in known, "tolerance", owner, f"of {', '.join(known)}", repr(name))
+        std = numbers(value, f"tolerance {name}", owner, ())
+        require(std >= 0, f"tolerance {name}", owner, "not negative", value)
+
+
 class Segment:
     """What all segments have; the kernels know the five kinds below."""
 
@@ -37,9 +55,9 @@ class Segment:
         return ()
 
     @property
-    def sizes(self) -> tuple[float, float]:
-        """Two numbers for the kernels: length [m], or which axes turn as the bits of a number; and radius [m]."""
-        return self.length, 0.0
+    def sizes(self) -> tuple[float, ...]:
+        """Up to six numbers for the kernels: length [m], or which axes turn as the bits of a number; radius [m]."""
+        return (self.length,)
 
 
 @dataclass(frozen=True)
@@ -91,7 +109,7 @@ class ConstantCurvature(Segment):
         return ("delta_x", "delta_y", "delta_L") if self.extensible else ("delta_x", "delta_y")
 
     @property
-    def sizes(self) -> tuple[float, float]:
+    def sizes(self) -> tuple[float, ...]:
         """Length and radius [m]."""
         return self.length, self.radius
 
@@ -139,31 +157,61 @@ class AffineCurvature(Segment):
 
 @dataclass(frozen=True)
 class Link(Segment):
-    """A rigid piece along z, without a coordinate.
+    """A rigid piece along z, without a coordinate; or one that leads aside, or turns what follows.
 
     Parameters
     ----------
     length
-        Its length [m]; zero is a place to mount things on.
+        Its length along z [m]; zero is a place to mount things on.
+    offset
+        Where it ends beside that, in the frame of its start [m]: at ``(0, 0, length) + offset``.
+    orientation
+        Quaternion XYZW from its own frame, and that of what follows, to the frame of its start. As the first
+        segment it turns the robot on its base; before a hinge it turns its axis.
+    tolerance
+        Standard deviations by which it may be off its drawing, for :func:`repro.calibrate`: a mapping with some of
+        ``offset`` along each axis [m], ``tilt`` about each of its axes [rad].
 
     Raises
     ------
     InputError
-        If the length is negative.
+        If the length is negative, or the numbers describe no place or no orientation.
 
     Examples
     --------
     >>> from repro import Link, Robot
     >>> Robot([Link(0.1), Link(0.05)]).tip([])[:3, 3]
     array([0.  , 0.  , 0.15])
+
+    A robot that lies along x, and a link whose end is 20 mm aside:
+
+    >>> turned = Link(0.0, orientation=[0, np.sqrt(0.5), 0, np.sqrt(0.5)])
+    >>> Robot([turned, Link(0.1, offset=[0, 0.02, 0])]).tip([])[:3, 3].round(3) + 0.0
+    array([0.1 , 0.02, 0.  ])
     """
 
     length: float
+    offset: ArrayLike | None = None
+    orientation: ArrayLike | None = None
+    tolerance: Mapping[str, float] | None = None
     kind: ClassVar[int] = _LINK
 
     def __post_init__(self) -> None:
         fits = 0 <= scalar(self.length, "length", "Link") < math.inf
         require(fits, "length", "Link", "not negative [m]", self.length)
+        check_tolerance(self.tolerance, "Link")
+        _ = self.end
+
+    @cached_property
+    def end(self) -> Place:
+        """Its offset, and how it is turned there."""
+        return place("Link", 0, 0.0, self.offset, self.orientation)
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Vector from its start to its end [m], and the rotation vector of its turn."""
+        x, y, z = self.end.position.tolist()
+        return x, y, z + self.length, *Rotation.from_matrix(self.end.rotation).as_rotvec().tolist()
 
 
 @dataclass(frozen=True)
@@ -204,9 +252,9 @@ class BallJoint(Segment):
         return tuple(f"rotation_{axis}" for axis in self.axes)
 
     @property
-    def sizes(self) -> tuple[float, float]:
+    def sizes(self) -> tuple[float, ...]:
         """Which axes turn, as the bits of a number."""
-        return float(sum(1 << "xyz".index(axis) for axis in self.axes)), 0.0
+        return (float(sum(1 << "xyz".index(axis) for axis in self.axes)),)
 
 
 @dataclass(frozen=True)
@@ -229,9 +277,9 @@ class FreeBody(Segment):
         return ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
 
     @property
-    def sizes(self) -> tuple[float, float]:
+    def sizes(self) -> tuple[float, ...]:
         """Which axes turn, as the bits of a number: all three."""
-        return 7.0, 0.0
+        return (7.0,)
 
 
 class Place(NamedTuple):
@@ -420,7 +468,7 @@ class Chain:
         counts = [len(segment.coordinates) for segment in self.segments]
         found = Frames(
             kind=np.array([segment.kind for segment in self.segments]),
-            size=np.array([segment.sizes for segment in self.segments]),
+            size=np.array([np.pad(s.sizes, (0, 6 - len(s.sizes))) for s in self.segments]),
             first=np.cumsum([0, *counts]),
             segment=np.array([g for g, _ in each]),
             v=np.array([v for _, v in each]),
@@ -613,8 +661,9 @@ def _in_segment(chain, g, q, v, T, W, J):
         return
     T[:, :], W[:, :] = 0.0, 0.0
     if kind == _LINK:
-        T[0, 0] = T[1, 1] = T[2, 2] = 1.0
-        T[2, 3] = v * chain.size[g, 0]
+        turn(chain.size[g, 3], chain.size[g, 4], chain.size[g, 5], T, J)
+        for i in range(3):
+            T[i, 3] = v * chain.size[g, i]
     else:
         axes, c = int(chain.size[g, 0]), 0
         if kind == _FREE:

@@ -12,9 +12,9 @@ from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import leggauss
 from scipy.spatial.transform import Rotation
 
-from repro.chain import Place, place
+from repro.chain import Place, check_tolerance, place
 from repro.common import Array, ArrayLike, numbers, require, scalar
-from repro.parts import Assembly, check_tolerance
+from repro.parts import Assembly
 
 
 @dataclass(frozen=True)

@@ -433,7 +433,7 @@ def _straightened(robot: Assembly, T: Array, rest: Array) -> tuple[dict[int, Arr
     bases = bases[int(np.linalg.norm(tip) > 1.5 * robot.length) :].reshape(-1, 4, 4)
     misfits = []
     for base in bases:
-        fit = fit_shape(robot, np.linalg.inv(base) @ moves[shown] @ base @ straight)
+        fit = fit_shape(robot, np.linalg.inv(base) @ moves[shown] @ base @ straight, leave_out=False)
         beyond = outside(robot, fit.q).any(axis=1).mean()
         misfits.append(np.sqrt(np.nanmedian(np.square(fit.residual))) + robot.length * beyond)
     good = bases[np.array(misfits) <= 1.1 * min(misfits) + _EQUAL]
@@ -467,7 +467,7 @@ def _fitted(
         remarks.append(f"By the axes of {owner}, {said}")
     require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
 
-    shapes = fit_shape(robot, T, times=motion.times)
+    shapes = fit_shape(robot, T, times=motion.times, leave_out=False)
     q, miss = shapes.q.copy(), shapes.residual
     typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
     remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
@@ -481,7 +481,7 @@ def _fitted(
     q[far] = np.nan
     _say(far, f"Poses of {owner} left out, which the robot cannot take", motion.lines, remarks)
     _clear_outside(robot, q, owner, motion.lines, remarks, covariance, hint)
-    turned = {angle: fit_shape(robot, x).q for angle, x in ways.items() if angle}
+    turned = {angle: fit_shape(robot, x, leave_out=False).q for angle, x in ways.items() if angle}
     return Poses(motion.times, q, motion.lines, tuple(remarks), turned=turned)
 
 

@@ -11,24 +11,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from repro.chain import Chain, Place, Segment, place, unit_quaternions
+from repro.chain import Chain, Place, Segment, check_tolerance, place, unit_quaternions
 from repro.common import Array, ArrayLike, numbers, require, scalar
-
-TOLERANCES = {
-    "magnet": ("position", "at", "tilt", "polarisation", "size"),
-    "sensor": ("position", "at", "radius", "azimuth", "tilt", "gain", "offset"),
-    "imu": ("at", "tilt", "heading"),
-}
-"""What a part may be off its drawing by: lengths [m], angles [rad], offset [mT]; polarisation, gain are relative."""
-
-
-def check_tolerance(tolerance: Mapping[str, float] | None, owner: str) -> None:
-    """Refuse tolerances of a part that it does not have, or that are no standard deviations."""
-    known = TOLERANCES[owner.lower()]
-    for name, value in (tolerance or {}).items():
-        require(name in known, "tolerance", owner, f"of {', '.join(known)}", repr(name))
-        std = numbers(value, f"tolerance {name}", owner, ())
-        require(std >= 0, f"tolerance {name}", owner, "not negative", value)
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,15 @@ _SEGMENTS: dict[str, tuple[dict[str, _Key], dict[str, _Key]]] = {
             "delta_L_mm": _STRETCH,
         },
     ),
-    "link": ({"length_mm": _number(0.0, 5000.0, "mm")}, {}),
+    "link": (
+        {
+            "length_mm": _number(0.0, 5000.0, "mm"),
+            "offset_mm": _vector("along x, y, z of its start", "mm", most=5000.0),
+            "orientation": _quaternion("from the frame of the link to that of its start"),
+            "tolerance": _TABLE,
+        },
+        {},
+    ),
     "ball_joint": ({}, {"rx_deg": _TURN, "ry_deg": _TURN, "rz_deg": _TURN}),
     "free": (
         {},
@@ -211,6 +219,7 @@ _STD_MM = _number(0.0, 1000.0, "mm", None)._replace(
 _STD_DEG = _number(0.0, 180.0, "deg", None)
 _STD_PERCENT = _number(0.0, 100.0, "percent", None)
 _TOLERANCES: dict[str, dict[str, tuple[str, _Key]]] = {
+    "segments": {"offset_mm": ("offset", _STD_MM), "tilt_deg": ("tilt", _STD_DEG)},
     "magnets": {
         "at_mm": ("at", _STD_MM),
         "position_mm": ("position", _STD_MM),
@@ -455,7 +464,9 @@ def _segment(document: _Document, k: int) -> Robot:
         limits = [name for name in limits if row[name] is not None] or limits
         segment = BallJoint("".join(name[1] for name in limits))
     else:
-        segment = _KINDS[kind](*(row[name] for name in sizes))
+        row["tolerance"] = _tolerance(document, *place)
+        with document.at(*place):
+            segment = _KINDS[kind](*(row[name] for name in sizes))
     bend, stretch = math.pi / 2, 0.1 * segment.length
     usual = {"kappa_0_rad": bend, "kappa_1_rad": 2 * bend, "delta_L_mm": stretch}
     usual |= dict.fromkeys(("delta_x_mm", "delta_y_mm"), bend * row.get("radius_mm", 0.0))
@@ -487,10 +498,14 @@ def _place(document: _Document, name: str, k: int, row: _Row, bare: Robot) -> _R
         and bare.segments[row["segment"] - 1].length
     ):
         raise document.error((name, k, "at_mm"), f"given on segment {row['segment']}", "nothing")
+    return {"segment": row["segment"], "at": row["at_mm"], "tolerance": _tolerance(document, name, k)}
+
+
+def _tolerance(document: _Document, name: str, k: int) -> dict[str, float] | None:
+    """Return the tolerance of a part, by the names that parts have for it."""
     known = _TOLERANCES[name]
     given = document.read({key: own for key, (_, own) in known.items()}, name, k, "tolerance")
-    tolerance = {known[key][0]: value for key, value in given.items() if value is not None}
-    return {"segment": row["segment"], "at": row["at_mm"], "tolerance": tolerance or None}
+    return {known[key][0]: value for key, value in given.items() if value is not None} or None
 
 
 def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:

@@ -99,7 +99,7 @@ def unpack(ints, floats, weights):
     """Return the tables as views of the three arrays, by their numbers in the lists of ``pack``."""
     terms, model, angles, activation = _whole(ints, 0)
     chain = Frames(
-        _whole(ints, 1), _real(ints, floats, 0).reshape(-1, 2), _whole(ints, 2), _whole(ints, 3),
+        _whole(ints, 1), _real(ints, floats, 0).reshape(-1, 6), _whole(ints, 2), _whole(ints, 3),
         _real(ints, floats, 1), _whole(ints, 4),
     )  # fmt: skip
     return Tables(

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.chain import Place, point_on
+from repro.chain import Link, Place, Segment, point_on
 from repro.common import Array, require
 from repro.magnets import Magnet, Shape
 from repro.parts import Assembly, Sensor
@@ -21,6 +21,7 @@ Described = TypeVar("Described", bound=Assembly)
 """The kind of robot that is described: what is found is of the same kind."""
 _STEP = 1e-6
 """Of central differences, in every unit."""
+_LINK = ("x", "y", "z", "tilt about x", "tilt about y", "tilt about z")
 _MAGNET = ("x", "y", "z", "tilt about x", "tilt about y")
 
 
@@ -101,7 +102,18 @@ def placed(robot: Described, parameters: Mapping[str, float]) -> Described:
     earth = np.array([parameters.get(f"Earth field along {x}", 0.0) for x in "xyz"])
     if earth.any():
         robot = robot.replaced(earth=earth if robot.earth is None else robot.earth + earth)
-    return robot.replaced(magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
+    segments = [_segment_off(robot, k, parameters) for k in range(len(robot.segments))]
+    return robot.replaced(segments=segments, magnets=magnets, sensors=sensors, moments=rows * (1 + relative))
+
+
+def _segment_off(robot: Assembly, k: int, parameters: Mapping[str, float]) -> Segment:
+    part, own = robot.segments[k], _own(parameters, f"segment {k + 1} ")
+    if not isinstance(part, Link) or not own:
+        return part
+    moved, about = ([own[x] for x in names] for names in (_LINK[:3], _LINK[3:]))
+    turned = part.end.rotation @ Rotation.from_rotvec(about).as_matrix()
+    orientation = Rotation.from_matrix(turned).as_quat()
+    return replace(part, offset=part.end.position + moved, orientation=orientation)
 
 
 def _magnet_off(robot: Assembly, k: int, shape: Shape, parameters: Mapping[str, float]) -> Magnet:
@@ -192,6 +204,10 @@ def priors_of(robot: Assembly, t: Tolerances) -> dict[str, float]:
     priors |= dict.fromkeys(
         _moment_names(robot, sensing_of(robot).moments.shape[1]).ravel().tolist(), t.moments
     )
+    for k, link in enumerate(robot.segments):
+        own = dict(link.tolerance or {}) if isinstance(link, Link) else {}
+        stds = [own.get("offset", 0.0)] * 3 + [own.get("tilt", 0.0)] * 3
+        priors |= {f"segment {k + 1} {name}": std for name, std in zip(_LINK, stds, strict=True)}
     priors |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
     return {name: std for name, std in priors.items() if std}
 

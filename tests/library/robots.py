@@ -6,6 +6,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from repro import (
     AffineCurvature,
@@ -31,6 +32,7 @@ SEGMENTS = {
     "bend": ConstantCurvature(0.05, 1.0, extensible=False),
     "affine": AffineCurvature(0.2),
     "link": Link(0.03),
+    "elbow": Link(0.03, offset=[0.01, -0.02, 0.005], orientation=[0.1, 0.5, 0.1, 0.73**0.5]),
     "joint": BallJoint("xyz"),
     "universal": BallJoint("xy"),
     "hinge": BallJoint("y"),
@@ -41,6 +43,7 @@ CHAINS = [(name,) for name in SEGMENTS] + [
     ("constant", "hinge", "link"),
     ("joint", "bend", "affine"),
     ("free", "constant"),
+    ("elbow", "hinge", "elbow", "constant"),
     ("constant", "constant", "constant"),
 ]
 
@@ -100,7 +103,11 @@ def complex_frame(segment, q: np.ndarray, v: float) -> tuple[np.ndarray, np.ndar
     """Rotation and position of a segment's frame, written down once more for complex numbers and by quadrature."""
     q = np.asarray(q, dtype=complex)
     if isinstance(segment, Link):
-        return np.eye(3, dtype=complex), np.array([0, 0, v * segment.length], dtype=complex)
+        x, y, z = np.zeros(3) if segment.offset is None else segment.offset
+        own = (
+            np.eye(3) if segment.orientation is None else Rotation.from_quat(segment.orientation).as_matrix()
+        )
+        return own.astype(complex), v * np.array([x, y, z + segment.length], dtype=complex)
     if isinstance(segment, FreeBody):
         return _turn(q[3:]), q[:3]
     if isinstance(segment, BallJoint):

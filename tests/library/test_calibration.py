@@ -17,6 +17,7 @@ from repro import (
     Imu,
     InputError,
     LevenbergMarquardt,
+    Link,
     Magnet,
     Robot,
     Sensing,
@@ -25,6 +26,7 @@ from repro import (
     example,
     load_robot,
 )
+from repro.chain import point_on
 from repro.tolerances import Tolerances, placed, priors_of, slopes_of
 
 from .robots import RELEASED, STORED, bounds, paper_robot
@@ -86,6 +88,39 @@ def test_slopes_by_every_parameter_are_those_of_the_readings():
         central = (up - down) / (2 * h)
         atol = 1e-6 * np.abs(central).max() + 1e-11 / scale[k]
         np.testing.assert_allclose(J[..., k], central, rtol=0, atol=atol, err_msg=name)
+
+
+def test_links_and_a_base_that_are_off_are_found_where_they_state_a_tolerance():
+    """The base is turned by 3 degrees, and a link ends 2 mm aside; without tolerances both would bend the robot."""
+    base = Link(0.0, orientation=[0.0, 0.0, 0.6, 0.8], tolerance={"tilt": 0.05})
+    elbow = Link(0.03, offset=[0.01, 0.0, 0.0], tolerance={"offset": 2e-3})
+    segments = [base, ConstantCurvature(0.11, 0.022), elbow]
+    chips = [Sensor(g, at, position=[0.02, 0.01, 0.0], axes=3) for g, at in ((0, 0.0), (2, 0.09), (3, 0.03))]
+    magnets = [Magnet(RELEASED, 2, 0.055), Magnet(RELEASED, 3, 0.0), Magnet(RELEASED, 1, 0.0, [1, 0, 0])]
+    robot, rng = Robot(segments, magnets, chips), np.random.default_rng(0)
+    true = {f"segment 1 tilt about {x}": angle for x, angle in zip("xyz", [0.05, -0.02, 0.03], strict=True)}
+    true |= {f"segment 3 {x}": off for x, off in zip("xyz", [2e-3, -1e-3, 5e-4], strict=True)}
+    truth, q = placed(robot, true), shapes(60, rng, 1)
+    ends = [point_on(2, 0.0), point_on(3, 0.03)]
+    straight = truth.poses([0.0, 0.0, 0.0], ends)
+    expected = Rotation.from_quat([0, 0, 0.6, 0.8]) * Rotation.from_rotvec([0.05, -0.02, 0.03])
+    np.testing.assert_allclose(straight[0, :3, :3], expected.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(
+        straight[1, :3, 3], expected.apply([0.012, -1e-3, 0.11 + 0.03 + 5e-4]), atol=1e-14
+    )
+    found = calibrate(robot, q, truth.sensing()(q) + 1e-3 * rng.normal(size=(60, 9)), 1e-3, tolerances=FIXED)
+    errors = {
+        name: value - true.get(name, 0.0) for name, value in zip(found.names, found.estimate, strict=True)
+    }
+    for name, std in zip(found.names, found.deviation, strict=True):
+        assert abs(errors[name]) < 4.5 * std
+    assert max(abs(errors[name]) for name in true) < 2e-4
+    np.testing.assert_allclose(found.robot.poses(q, ends), truth.poses(q, ends), atol=5e-4)
+    assert not [
+        name
+        for name in priors_of(robot.replaced(segments=[Link(0.0), *segments[1:]]), FIXED)
+        if "segment 1" in name
+    ]
 
 
 def test_a_chip_turns_about_its_own_axes_and_about_the_backbone():
@@ -440,6 +475,36 @@ def test_a_calibration_no_better_than_the_description_is_refused_with_likely_cau
         assert "row 8" in str(e.value)
     if wrong == "order of sensors" and pose_noise:  # each where another is drawn, a third of a turn away
         assert re.search("azimuth off by .* times its tolerance", str(e.value))
+
+
+@pytest.mark.slow
+def test_a_rough_drawing_is_calibrated_if_its_tolerances_say_so():
+    """Magnets 8 mm and 30 degrees off: the fit next to the drawing ends in a narrow valley far from the robot."""
+    rough = Tolerances(magnet_position=8e-3, magnet_tilt=0.5, chip_position=5e-3, sensor_tilt=0.3)
+    robot, rng = with_chip(), np.random.default_rng(3)
+    truth = placed(robot, off(robot, rng, rough)).sensing()
+    q = shapes(24, rng)
+    u = truth(q) + 1e-2 * rng.normal(size=(24, 5))
+    found = calibrate(robot, q, u, 1e-2, tolerances=rough, starts=1)
+    assert found.after < 1.5
+    assert found.before > 100
+    new = 0.5 * q
+    before, after = (np.abs(s(new) - truth(new)).mean() for s in (robot.sensing(), found.sensing()))
+    assert after < 0.01 * before
+    with pytest.raises(InputError, match="by .* times its tolerance|standard deviations against"):
+        calibrate(robot, q, u, 1e-2, tolerances=rough)
+
+
+@pytest.mark.slow
+def test_a_constant_field_is_found_if_it_has_a_tolerance_and_named_if_it_has_none():
+    robot, rng = paper_robot(1), np.random.default_rng(0)
+    q = shapes(30, rng, 1)
+    true = placed(robot.replaced(earth=[3.0, -2.0, 3.0]), off(robot, rng))
+    u = true.sensing()(q) + 1e-3 * rng.normal(size=(30, 3))
+    found = calibrate(robot, q, u, 1e-3, tolerances=Tolerances(earth=5.0))
+    assert found.after < 1.5
+    with pytest.raises(InputError, match=r"a constant field of .* mT they fit: state Tolerances\(earth="):
+        calibrate(robot, q, u, 1e-3)
 
 
 @pytest.mark.parametrize("poses", [1, 2, 4, 8, 10, 12, 30])

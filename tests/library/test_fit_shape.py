@@ -19,7 +19,7 @@ from repro import (
     Robot,
 )
 from repro.chain import point_on
-from repro.estimators.fit_shape import fit_shape
+from repro.estimators.fit_shape import Rig, fit_shape
 
 from .robots import RELEASED, tips
 
@@ -285,3 +285,80 @@ def test_times_of_ones_own_count():
             fit_shape(robot, frame, **options)
     with pytest.raises(InputError, match="robot of fit_shape must be one with a coordinate"):
         fit_shape(Robot([Link(0.1)]), frame)
+
+
+def test_rotations_alone_give_the_bend():
+    """What they do not tell, the elongation, stays at the start; nothing is taken from a position that is lost."""
+    stiff = Robot([ConstantCurvature(0.11, 0.022, extensible=False)] * 2)
+    q = shapes(stiff, 20)
+    T = stiff.poses(q, tips(stiff))
+    T[..., :3, 3] = np.nan
+    found = fit_shape(stiff, T)
+    np.testing.assert_allclose(found.q, q, atol=1e-8)
+    assert (found.dof == 2).all()
+    assert (found.status == "consistent").all()
+    stretching = Robot([SEGMENT] * 2)
+    free = fit_shape(stretching, T)
+    np.testing.assert_allclose(free.q[:, [0, 1, 3, 4]], q, atol=1e-8)
+    assert (free.q[:, [2, 5]] == 0).all()
+    assert np.isinf(free.covariance[:, [2, 5], [2, 5]]).all()
+    assert (free.dof == 2).all()
+    assert (free.status == "undetermined").all()
+    with pytest.raises(InputError, match="rig of fit_shape must be given to fit a rig to rotations alone"):
+        fit_shape(stiff, T, fit_rig=True)
+
+
+def test_one_body_without_its_position():
+    robot = Robot([SEGMENT] * 2)
+    q = shapes(robot, 20)
+    T = robot.poses(q, tips(robot))
+    T[:, 0, :3, 3] = np.nan
+    np.testing.assert_allclose(fit_shape(robot, T).q, q, atol=1e-7)
+
+
+def test_bodies_that_do_not_fit_are_left_out_and_counted():
+    """Turned over, exchanged by a turn that is no half turn, 0.6 m off: each is named, and its shape stays right."""
+    robot = Robot([ConstantCurvature(0.11, 0.022, extensible=False)] * 3)
+    q = shapes(robot, 60)
+    T = noisy(robot.poses(q, tips(robot)))
+    good = fit_shape(robot, T, noise=NOISE)
+    assert not good.left_out.any()
+    assert (good.status == "consistent").all()
+    T[3, 0, :3, :3] @= np.diag([1.0, -1.0, -1.0])
+    T[4, 1, :3, :3] = T[4, 1, :3, :3] @ Rotation.from_rotvec([0.0, 0.0, 1.9]).as_matrix()
+    T[5, 0, :3, 3] += 0.6
+    T[6, :2, :3, 3] += [[0.0, 0.6, 0.0], [0.3, 0.0, -0.4]]
+    found = fit_shape(robot, T, noise=NOISE)
+    assert np.argwhere(found.left_out).tolist() == [[3, 0], [4, 1], [5, 0]]
+    assert found.status is not None
+    assert found.status[3:7].tolist() == ["left out"] * 3 + ["inconsistent"]
+    assert (np.delete(found.status, [3, 4, 5, 6]) == "consistent").all()
+    np.testing.assert_allclose(found.q[3:6], good.q[3:6], atol=5e-3)
+    assert np.isnan(found.residuals[found.left_out]).all()
+    assert "0 of 1080 readings missing, 18 left out; 56 rows consistent" in repr(found)
+    assert repr(found).endswith("left out: body 1 in 2 shapes, body 2 in 1 shapes")
+    whole = fit_shape(robot, T, noise=NOISE, leave_out=False)
+    assert not whole.left_out.any()
+    assert whole.status is not None
+    assert (whole.status[3:7] == "inconsistent").all()
+    assert whole.residual[5] > 0.05
+
+
+def test_where_two_bodies_explain_a_misfit_none_is_left_out():
+    """One segment and two bodies on it, of which one shows another shape."""
+    robot = Robot([SEGMENT])
+    at = [(1, 0.11), (1, 0.06)]
+    T = robot.poses(shapes(robot, 9), [point_on(1, 0.11), point_on(1, 0.06)])
+    T[4, 1] = T[0, 1]
+    found = fit_shape(robot, T, at)
+    assert found.status is not None
+    assert found.status[4] == "inconsistent"
+    assert not found.left_out.any()
+
+
+def test_a_rig_is_poses():
+    with pytest.raises(InputError, match="poses of Rig must be"):
+        Rig(np.eye(3), [np.eye(4)])
+    with pytest.raises(InputError, match="poses of Rig must be"):
+        Rig(np.eye(4), [2 * np.eye(4)])
+    assert Rig(np.eye(4), [np.eye(4)] * 3).deviation.shape == (4, 6)

@@ -102,6 +102,30 @@ def test_turned_worlds_signs_and_batches(model, seed, base):
     np.testing.assert_allclose(found, rotated(turn, shape).reshape(2, 3, 8, 3), atol=1e-13)
 
 
+def test_links_that_lead_aside_are_those_of_a_robot_and_are_found():
+    """Positions of a chain whose links have a vector, and the vectors from positions."""
+    offsets = np.array([[0.01, -0.02, 0.005], [0.0, 0.015, -0.01]])
+    links = [Link(0.1, offset=offsets[0]), Link(0.15, offset=offsets[1])]
+    robot = Robot([BallJoint("xyz"), links[0], BallJoint("xyz"), links[1]])
+    turns = 0.5 * np.random.default_rng(2).normal(size=(40, 6))
+    places = [point_on(2, 0.0), point_on(4, 0.0), point_on(2, 0.05), point_on(2, 0.1), point_on(4, 0.15)]
+    T = robot.poses(turns, places)
+    q = Rotation.from_matrix(T[:, :2, :3, :3].reshape(-1, 3, 3)).as_quat().reshape(40, 2, 4)
+    drawn = Arm([1, 2], [0.0, 0.1], [0.1, 0.15], markers=[0.05, 0.1, 0.25])
+    arm = replace(drawn, link_offsets=offsets.tolist())
+    np.testing.assert_allclose(rigid_body(1.0004 * q, arm, arm.markers), T[:, 2:, :3, 3], atol=1e-14)
+
+    markers = T[:, 2:, :3, 3]
+    found = calibrate_imus(q, markers, rigid_body, drawn, noise=1e-5, link=0.02)
+    assert found.names[-6:] == tuple(f"link_{x}_{k}" for k in (1, 2) for x in "xyz")
+    again = rigid_body(calibrated(q, found), found.arm(drawn), drawn.markers) + found.translation
+    np.testing.assert_allclose(again, markers, atol=2e-5)
+    without = calibrate_imus(q, markers, rigid_body, drawn, noise=1e-5)
+    assert found.rms < 1e-5 < 1e-3 < without.rms
+    assert found.arm(drawn).link_offsets[0][2] == pytest.approx(0.005, abs=1e-3)  # a length has no rival
+    assert without.arm(drawn) is drawn
+
+
 def test_orientations_of_an_arm():
     q, turn = bent(4, 3, 9), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
     arm = replace(UNEVEN, base_turn=turn)
@@ -223,6 +247,11 @@ CALIBRATION = partial(
         (CALIBRATION, {"markers": np.full((5, 2, 3), np.nan)}, "at least two positions that were seen; .* 0"),
         (CALIBRATION, {"noise": 0.0}, r"noise of calibrate_imus must be positive; instead received 0\.0"),
         (CALIBRATION, {"heading": math.inf}, "heading of calibrate_imus must be positive"),
+        (
+            CALIBRATION,
+            {"link": 0.01},
+            "link of calibrate_imus must be not negative, and zero but for a rigid-body",
+        ),
         (
             CALIBRATION,
             {"orientations": bent(0, 5, 8)},

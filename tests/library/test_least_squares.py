@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from repro import (
@@ -191,6 +194,17 @@ def test_how_a_callable_is_called_is_found_out_once():
     calls.clear()
     track(method, np.tile(quadratic(np.array([0.1, 0.1])), (3, 1)), [0.0, 0.0])
     assert set(calls) == {(2, 2)}  # complex steps along both coordinates, whose real parts are the readings
+
+
+def test_a_spline_is_a_model_without_a_warning():
+    """SciPy's splines drop an imaginary part: their slopes come from differences, and nobody hears of the try."""
+    at = np.linspace(-1.0, 1.0, 30)
+    spline = CubicSpline(at, np.stack([np.sin(at), at**2], axis=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        method = LevenbergMarquardt(lambda q: spline(q[..., 0]), [-1.0], [1.0], 0.01)
+        found = method.step(method.init(), [np.sin(0.3), 0.09])[1]
+    assert found.q == pytest.approx([0.3], abs=1e-4)
 
 
 def test_bounds_hold_and_do_not_stick():

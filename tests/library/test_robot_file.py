@@ -105,6 +105,31 @@ def test_a_joint_over_one_chip(tmp_path):
     np.testing.assert_allclose([robot.lower, robot.upper], [[-np.radians(40), 0], [np.radians(40), 0]])
 
 
+def test_a_link_aside_and_a_base_that_is_turned(tmp_path):
+    """What the file says of links is the same robot written in Python."""
+    base = '[[segments]]\nkind = "link"\nlength_mm = 0.0\norientation = [0.0, 0.6, 0.0, 0.8]\n'
+    base += "tolerance = { tilt_deg = 3.0 }\n"
+    elbow = '[[segments]]\nkind = "link"\nlength_mm = 50.0\noffset_mm = [0.0, 20.0, -5.0]\n'
+    elbow += "tolerance = { offset_mm = 2.0 }\n"
+    robot = read(tmp_path, f'{base}[[segments]]\nkind = "ball_joint"\nrx_deg = [-40.0, 40.0]\n{elbow}')
+    drawn = repro.Robot(
+        [
+            repro.Link(0.0, orientation=[0, 0.6, 0, 0.8]),
+            repro.BallJoint("x"),
+            repro.Link(0.05, offset=[0, 0.02, -5e-3]),
+        ]
+    )
+    np.testing.assert_allclose(robot.tip([0.3]), drawn.tip([0.3]), rtol=0, atol=1e-15)
+    assert [link.tolerance for link in robot.segments[::2]] == [
+        {"tilt": pytest.approx(np.radians(3.0))},
+        {"offset": pytest.approx(2e-3)},
+    ]
+    with pytest.raises(InputError, match="line 2, .*orientation of Link must be unit quaternions"):
+        read(tmp_path, base.replace("0.8", "0.9").replace("[[segments]]", "\n[[segments]]"))
+    with pytest.raises(InputError, match="offset_mm of robot.toml, line 4.*3 numbers"):
+        read(tmp_path, elbow.replace("20.0, ", ""))
+
+
 def test_a_free_body_has_no_bounds_of_its_turns(tmp_path):
     free = '[[segments]]\nkind = "free"\nx_mm = [-50, 50]\ny_mm = [-50, 50]\nz_mm = 20.0\n'
     free += "start = { x_mm = 10, rx_deg = 90 }"

@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -29,8 +29,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from repro.common import Array, InputError, bad_input, is_table, numbers, require, whole
-from repro.estimators.base import information_of_bounds
+from repro.estimators.base import evenly, information_of_bounds
 from repro.estimators.gauss_newton import Fit, Trial, gauss_newton
+from repro.estimators.track import with_bar
 from repro.parts import Assembly, Source
 from repro.sensing import Sensing, sensing_of
 from repro.tables import Readings, configurations_of, read_readings, read_table
@@ -50,6 +51,11 @@ _CHANCE = 3.0
 _ITERATIONS, _SLACK = 50, 1.01
 """Number of steps, of which six are enough as a rule; by what factor a step may raise the squared residuals, whose
 variances change with the slopes."""
+_WIDE, _FEW, _GRADE, _STEPS, _QUICK = 1.7, 20, 3.0, 10, 4
+"""Of a rough drawing: within how many tolerances starts are tried, with how many poses; by what factor the
+noise falls from one grade to the next, and how many steps each grade takes, in the end and in a trial."""
+_LEAST_FIELD = 0.02
+"""A smaller constant field is no cause [mT]: that of the Earth is 0.05."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,6 +191,8 @@ def calibrate(
     tolerances: Tolerances | None = None,
     earth: ArrayLike | None = None,
     rows: Sequence[str] | None = None,
+    starts: int = 0,
+    progress: str | None = None,
 ) -> Calibration[Described]:
     """Find the places of magnets and sensors, gains and moments, by Gauss-Newton with Gaussian priors.
 
@@ -203,11 +211,17 @@ def calibrate(
     q_covariance
         Covariance of ``q`` ``[n_q, n_q]`` or ``[poses, n_q, n_q]``; exact poses if not given.
     tolerances
-        Standard deviations of the priors, of what the parts do not state themselves.
+        Standard deviations of the priors, of what the parts do not state themselves. ``Tolerances(earth=5.0)`` finds
+        a constant field of some mT, such as that of a motor nearby, too.
     earth
         Field of the Earth in the base frame [mT]; the robot's if not given.
     rows
         What messages call each pose, such as its file and line; those of a table if not given.
+    starts
+        For a rough drawing, whose tolerances are stated as large: if the fit next to the drawing cannot be, start
+        there again with noise that falls in grades, then at the best of so many places spread over the tolerances.
+    progress
+        Label of a progress bar over the starts; none if not given.
 
     Raises
     ------
@@ -238,6 +252,9 @@ def calibrate(
     described = robot.replaced(imus=(), noise=None)
     q, u, rows = _measured(robot, described, q, u, rows, owner)
     std = _noise_of(robot, noise, described.n_readings, owner)
+    require(
+        isinstance(starts, int) and 0 <= starts <= 1000, "starts", owner, "a number from 0 to 1000", starts
+    )
     given = np.zeros((robot.n_q, robot.n_q)) if q_covariance is None else q_covariance
     sigma = numbers(given, "q_covariance", owner, (..., robot.n_q, robot.n_q))
     fits = sigma.shape[:-2] in ((), (len(q),))
@@ -248,14 +265,7 @@ def calibrate(
 
     poses = _Poses(described, names, scale, q, u, std, sigma)
     with np.errstate(all="ignore"):
-        try:
-            fit = gauss_newton(poses.trial, np.ones(len(scale)), iterations=_ITERATIONS, slack=_SLACK)
-            covariance = np.linalg.inv(fit.information)
-            before, after, own, inexact = _by_pose(fit, covariance, len(q))
-        except (np.linalg.LinAlgError, OverflowError, InputError) as error:
-            raise _refused(f"a fit that ends in no robot ({error})") from error
-
-    _judge(fit.z, names, before, after, own, rows)
+        fit, covariance, (before, after, _, inexact) = poses.fitted(rows, starts, progress)
     found = placed(robot, poses.parameters(fit.z))
     deviation, chi2 = np.sqrt(np.diag(covariance)) * scale, float(np.mean(fit.last.details[0] ** 2))
     return Calibration(
@@ -290,6 +300,12 @@ def _measured(
     return q, u, rows
 
 
+_Quality = tuple[float, float, Array, Array]
+"""What poses are off as described, as the others predict them, each of them, and the error of the model."""
+_Fitted = tuple[Fit, Array, _Quality]
+"""A fit, its covariance, and what it is worth."""
+
+
 class _Poses(NamedTuple):
     """Readings in measured poses, and how uncertain both are."""
 
@@ -304,6 +320,77 @@ class _Poses(NamedTuple):
     def parameters(self, z: Array) -> dict[str, float]:
         """Return parameters by name, of ``z`` in units of their tolerances."""
         return dict(zip(self.names, (z * self.scale).tolist(), strict=True))
+
+    def fitted(self, rows: Sequence[str] | None, starts: int, progress: str | None) -> _Fitted:
+        """Return the first fit that can be, or refuse the last one with the cause that is known."""
+        last = _refused("none")
+        for k, start in enumerate(self.starts(starts, progress)):
+            try:
+                return self.judged(start, rows, rough=k > 0)
+            except _Refused as error:
+                last = error
+        raise _Refused(f"{str(last).removesuffix('.')}{self.missing_field(rough=starts > 0)}.") from last
+
+    def judged(self, start: Array, rows: Sequence[str] | None, *, rough: bool) -> _Fitted:
+        """Return the fit from a start, or refuse it."""
+        try:
+            fit = self.graded(start, _STEPS, 2 * _ITERATIONS) if rough else self.descended(start, _ITERATIONS)
+            covariance = np.linalg.inv(fit.information)
+            quality = _by_pose(self.trial(0 * start), fit.last, covariance, len(self.q))
+        except _NO_FIT as error:
+            raise _refused(f"a fit that ends in no robot ({error})") from error
+        _judge(fit.z, self.names, quality, rows)
+        return fit, covariance, quality
+
+    def missing_field(self, *, rough: bool) -> str:
+        """Return words about a constant field with which everything fits, if there is one."""
+        names = tuple(f"Earth field along {x}" for x in "xyz")
+        if names[0] in self.names:
+            return ""
+        size = float(np.abs((self.u - sensing_of(self.described)(self.q)).mean(0)).max())
+        other = self._replace(names=(*self.names, *names), scale=np.append(self.scale, [size] * 3))
+        try:
+            fit = other.judged(np.zeros(len(other.scale)), None, rough=rough)[0]
+        except _Refused:
+            return ""
+        found = size * float(np.linalg.norm(fit.z[-3:]))
+        if found < _LEAST_FIELD:
+            return ""
+        return f"; with a constant field of {found:.2g} mT they fit: state Tolerances(earth={found:.2g})"
+
+    def starts(self, n: int, progress: str | None) -> Iterator[Array]:
+        """Yield the drawing, once more for the rough fit, then the best of starts spread over the tolerances."""
+        drawn = np.zeros(len(self.scale))
+        yield drawn
+        if n == 0:
+            return
+        yield drawn
+        few = slice(None, None, 1 + len(self.q) // _FEW)
+        sigma = np.broadcast_to(self.sigma, (len(self.q), *self.sigma.shape[-2:]))
+        some = self._replace(q=self.q[few], u=self.u[few], sigma=sigma[few])
+        spread, tried = evenly(drawn - _WIDE, drawn + _WIDE, 1 + n), []
+        for k in with_bar(n, progress):
+            try:
+                fit = some.graded(spread[1 + k], _QUICK, _STEPS)
+            except _NO_FIT:
+                continue
+            tried.append((fit.last.cost + fit.z @ fit.z, fit.z))
+        yield from (z for _, z in sorted(tried, key=lambda one: one[0])[:1])
+
+    def descended(self, start: Array, steps: int) -> Fit:
+        """Return the fit next to a start."""
+        return gauss_newton(self.trial, np.ones(len(start)), iterations=steps, slack=_SLACK, start=start)
+
+    def graded(self, start: Array, steps: int, last: int) -> Fit:
+        """Return the fit from a start that is far off.
+
+        At first the noise is as large as what the start leaves, then it falls in grades to what is stated: small
+        noise makes a narrow valley that bends, in which every step is short.
+        """
+        left = max(1.0, math.sqrt(self.trial(start).cost / self.u.size))
+        for grade in range(math.ceil(math.log(left, _GRADE)), 0, -1):
+            start = self._replace(std=self.std * _GRADE**grade).descended(start, steps).z
+        return self.descended(start, last)
 
     def trial(self, z: Array) -> Trial:
         """Return what a robot with these parameters leaves of the readings.
@@ -324,10 +411,9 @@ class _Poses(NamedTuple):
         return Trial(cost, lambda: (cost, J.T @ J, J.T @ r), (r, J, root))
 
 
-def _judge(
-    z: Array, names: Sequence[str], before: float, after: float, own: Array, rows: Sequence[str] | None
-) -> None:
+def _judge(z: Array, names: Sequence[str], quality: _Quality, rows: Sequence[str] | None) -> None:
     """Refuse a fit that predicts poses no better than the drawing, or too badly, or from parts that are far off."""
+    before, after, own, _ = quality
     worst, far, mostly = int(np.argmax(own)), int(np.argmax(np.abs(z))), float(np.median(own))
     # Fewer than ten poses hardly predict another one.
     no_better = after >= before and (mostly > 2.0 or (len(own) >= 10 and after > 1.5))
@@ -362,9 +448,16 @@ def _check_within(robot: Assembly, out: Array, q: Array, rows: Sequence[str] | N
         raise bad_input("q", "calibrate", expected, f"{q[row, c]:g} in {where}")
 
 
-def _refused(received: str) -> InputError:
+class _Refused(InputError):
+    """A fit that cannot be."""
+
+
+_NO_FIT = (np.linalg.LinAlgError, OverflowError, InputError)
+
+
+def _refused(received: str) -> _Refused:
     expected = f"readings of this robot in these poses (usual causes if not: {_CAUSES})"
-    return bad_input("poses and readings", "calibrate", expected, received)
+    return _Refused(str(bad_input("poses and readings", "calibrate", expected, received)))
 
 
 def _noise_of(robot: Assembly, noise: ArrayLike | None, n: int, owner: str) -> Array:
@@ -378,12 +471,12 @@ def _noise_of(robot: Assembly, noise: ArrayLike | None, n: int, owner: str) -> A
     return np.broadcast_to(std, (n,))
 
 
-def _by_pose(fit: Fit, C: Array, poses: int) -> tuple[float, float, Array, Array]:
+def _by_pose(drawn: Trial, last: Trial, C: Array, poses: int) -> _Quality:
     """Return what poses are off: as described, as the others predict them, and each in the unit of this prediction.
 
     The first two are medians. Last comes the covariance of what the model cannot describe.
     """
-    first, (r, J, root) = fit.first.details[0], fit.last.details
+    first, (r, J, root) = drawn.details[0], last.details
     r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
     apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
     predicted = np.linalg.solve(apart, r[..., None])[..., 0]

@@ -32,6 +32,10 @@ from repro.tables import POSITION_FIRST, bodies_of, read_table
 _RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
 """Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""
 _RIG_SHAPES, _RIG_ITERATIONS, _TOLERANCE = 400, 60, 1e-6
+_RARE = 18.4
+"""Good shapes fit as badly as one that counts as bad once in 1e8 times: this is the natural logarithm."""
+_FAR = 1e6
+"""Bounds of coordinates that have none [m, rad]."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +51,41 @@ class Rig:
     deviation
         Standard deviations ``[1 + n, 6]`` of base and bodies: along their own axes [m], then about them [rad]; zero
         where they were not fitted.
+
+    Raises
+    ------
+    InputError
+        If these are no poses.
+
+    Examples
+    --------
+    A robot that hangs from the ceiling of a room of 2.5 m, and one body without a turn of its own:
+
+    >>> from repro import Rig
+    >>> Rig([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2.5], [0, 0, 0, 1]], [np.eye(4)]).deviation.shape
+    (2, 6)
     """
 
     base: Array
     bodies: Array
-    deviation: Array
+    deviation: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    def __post_init__(self) -> None:
+        base, bodies = measured_poses([[self.base]], "Rig")[0], measured_poses([self.bodies], "Rig")
+        require(np.isfinite(base).all() and np.isfinite(bodies).all(), "poses", "Rig", "finite", "NaN")
+        for name, value in (("base", base[0]), ("bodies", bodies[0])):
+            object.__setattr__(self, name, value)
+        if len(self.deviation) == 0:
+            object.__setattr__(self, "deviation", np.zeros((1 + bodies.shape[1], 6)))
 
 
 @dataclass(frozen=True, repr=False)
 class FittedShapes(Trajectory):
     """Configurations, as over time in a :class:`.Trajectory`, and what they leave of the measured poses.
+
+    ``status`` says of each shape: *consistent*; *left out*: a body does not fit and was left out, the others fit;
+    *inconsistent*: the bodies do not fit, and it is not decided which one is wrong; *undetermined*: a coordinate is
+    not seen; *unchecked*: the fit uses up all that was measured, so that nothing can contradict.
 
     Parameters
     ----------
@@ -70,6 +99,12 @@ class FittedShapes(Trajectory):
     rig: Rig | None = None
 
     @property
+    def left_out(self) -> Array:
+        """Which bodies were left out because they do not fit ``[t, n]``, as in ``residuals``."""
+        t, n = self.residuals.shape[:2]
+        return np.asarray(self.details["left_out"].reshape(t, 2, n, 3).any((1, 3)))
+
+    @property
     def residual(self) -> Array:
         """Root mean square distance of measured and fitted positions, of every shape ``[t]`` [m]."""
         return _size(self.residuals[..., :3], -1)
@@ -79,9 +114,12 @@ class FittedShapes(Trajectory):
         return super().to_frame().assign(residual_mm=1e3 * self.residual)
 
     def __repr__(self) -> str:
-        """Return the lines of a trajectory, and the residual."""
+        """Return the lines of a trajectory, the residual, and how often each body was left out."""
         distance = 1e3 * _size(self.residuals[..., :3], None)
-        return f"{super().__repr__()}\nresidual, root mean square: {distance:.2g} mm"
+        counts = enumerate(self.left_out.sum(0), 1)
+        left = ", ".join(f"body {k} in {n} shapes" for k, n in counts if n)
+        said = f"residual, root mean square: {distance:.2g} mm{'; left out: ' * bool(left)}{left}"
+        return f"{super().__repr__()}\n{said}"
 
 
 def _size(vectors: Array, axis: int | None) -> Array:
@@ -132,6 +170,7 @@ def fit_shape(
     start: ArrayLike | None = None,
     rig: Rig | None = None,
     fit_rig: bool = False,
+    leave_out: bool = True,
 ) -> FittedShapes:
     r"""Fit the shapes of a robot to motion capture.
 
@@ -141,8 +180,9 @@ def fit_shape(
         What is to be fitted. Coordinates with equal bounds stay there; other bounds do not count.
     poses
         Measured bodies, one row per shape: poses ``[t, n, 4, 4]``, positions and quaternions XYZW ``[t, n, 7]``, or
-        markers ``[t, n, 3]`` [m]; NaN for what is missing, a whole body or its rotation alone. Without the dimension
-        of time it is one shape. A data frame or the path of a table is read by the names of its columns.
+        markers ``[t, n, 3]`` [m]; NaN for what is missing, a whole body, its rotation or its position alone. Without
+        the dimension of time it is one shape. A data frame or the path of a table is read by the names of its
+        columns. What rotations do not tell, such as an elongation, stays at the start with an infinite variance.
     at
         Where each body is: something that is mounted (it has a ``place``), or ``(segment, at)`` [m], or
         ``(segment, at, position)`` for a marker beside the backbone, with its place in the cross-section [m]. The
@@ -159,12 +199,17 @@ def fit_shape(
     fit_rig
         Fit them over all shapes, from ``rig`` if given. Priors of 10 mm and 0.2 rad hold what the shapes do not
         determine, and ``rig.deviation`` tells it: beside constant curvature a tilt of base and bodies is a bend.
+    leave_out
+        Fit a shape again without each body in turn if it fits as badly as chance allows once in 1e8 times, in units
+        of what is typical. A body that exchanged markers turn over takes its whole shape along. It is left out if
+        the others fit without it, and do not fit without any other one.
 
     Returns
     -------
     FittedShapes
-        ``q``, ``covariance``, ``residuals`` and ``rig``. Coordinates beyond the last body that was seen are NaN, with
-        an infinite variance. If the residuals are larger than the noise in most shapes, the covariances grow by them.
+        ``q``, ``covariance``, ``residuals``, ``rig``, and ``status`` and ``left_out`` of every shape. Coordinates
+        beyond the last body that was seen are NaN, with an infinite variance. If the residuals are larger than the
+        noise in most shapes, the covariances grow by them.
 
     Raises
     ------
@@ -199,31 +244,47 @@ def fit_shape(
     search = _Search(robot, places, noise, start, owner)
     if fit_rig:
         if first:
+            seen = np.isfinite(T[..., 0, 3]).any()
+            require(seen, "rig", owner, "given to fit a rig to rotations alone", "none")
             rig = replace(rig, base=_first_base(robot.poses(search.q0, places), T, robot.length / 2))
         shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
         rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
     u, places = search.mounted(T, rig)
     _check_near(robot, u[:, : 3 * n], owner)
 
-    found, u_hat, C, chi2, used = search.best(u, places)
-    unknown = search.unseen(u)
-    dof = np.maximum(used - (search.free & ~unknown).sum(1), 0)
-    if (dof > 0).any():
-        C *= max(1.0, float(np.median(chi2[dof > 0] / dof[dof > 0])))
+    found = search.best(u, places)
+    left_out, status = search.judged(found, u, places, leave_out)
+    q, u_hat, C, chi2, used = found
+    unknown, dof = search.unseen(u), search.freedom(found, u)
+    unsure = unknown | (np.diagonal(C, axis1=1, axis2=2) > _FAR)
+    C *= _typical(chi2, dof)
     open_ = np.where(np.eye(robot.n_q) == 1, np.inf, np.nan)
-    C = np.where(unknown[:, :, None] | unknown[:, None, :], open_, C)
+    C = np.where(unsure[:, :, None] | unsure[:, None, :], open_, C)
     at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
     r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
     return FittedShapes(
-        at_times, np.where(unknown, np.nan, found), C, u_hat, chi2, dof, u.shape[1] - used, {},
+        at_times, np.where(unknown, np.nan, q), C, u_hat, chi2, dof, u.shape[1] - used,
+        {"left_out": left_out}, status,
         residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
         robot=robot if isinstance(robot, Assembly) else None,
     )  # fmt: skip
 
 
+def _typical(chi2: Array, dof: Array) -> float:
+    """Return the typical chi-square per degree of freedom, at least 1."""
+    free = dof > 0
+    return max(1.0, float(np.median(chi2[free] / dof[free]))) if free.any() else 1.0
+
+
+def _misfit(chi2: Array, dof: Array) -> Array:
+    """Return chi-squares in units of the largest one of good shapes: above 1 a shape does not fit."""
+    return chi2 / (dof + 2 * _RARE + 2 * np.sqrt(dof * _RARE))
+
+
 def _check_near(robot: Chain, positions: Array, owner: str) -> None:
     """Refuse positions that are in another unit or frame, by their typical distance from the base."""
-    far = float(np.nanmedian(np.linalg.norm(positions.reshape(-1, 3), axis=-1)))
+    away = np.linalg.norm(positions.reshape(-1, 3), axis=-1)
+    far = float(np.median(away[np.isfinite(away)])) if np.isfinite(away).any() else 0.0
     loose = any(isinstance(segment, FreeBody) for segment in robot.segments)
     expected = "in metres and in the frame of the base (or fit_rig=True)"
     near = loose or not far > 3 * robot.length
@@ -232,7 +293,9 @@ def _check_near(robot: Chain, positions: Array, owner: str) -> None:
 
 def _on_the_base(robot: Chain, T: Array, places: list[Place]) -> tuple[Array, list[Place]]:
     """Return all other bodies as if one on the base never moved, if there is one whose whole pose was measured."""
-    still = [k for k, where in enumerate(places) if where.segment == 0 and np.isfinite(T[:, k, 0, 0]).any()]
+    still = [
+        k for k, where in enumerate(places) if where.segment == 0 and np.isfinite(T[:, k, 0]).all(-1).any()
+    ]
     if not still:
         return T, places
     k = still[0]
@@ -260,7 +323,7 @@ def measured_poses(poses: object, owner: str) -> Array:
             T[there, :3, :3] = Rotation.from_quat(q).as_matrix()
     require(T.size, "poses", owner, "of at least one shape and one body", f"shape {values.shape}")
     T[~np.isfinite(T[..., :3, :3]).all((-2, -1)), :3, :3] = np.nan
-    T[~np.isfinite(T[..., :3, 3]).all(-1), :3] = np.nan
+    T[~np.isfinite(T[..., :3, 3]).all(-1), :3, 3] = np.nan
     R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-2, -1))
     for k, body in np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0)):
@@ -330,14 +393,15 @@ class _Search:
         """Return the coordinates ``[t, n_q]`` of segments that no body was seen on or beyond."""
         lengths = [0.0, *(segment.length for segment in self.robot.segments)]
         last = [where.segment - (where.at == 0 < lengths[where.segment]) for where in self.places]
-        seen = np.isfinite(u[:, : 3 * len(self.places) : 3])
+        n = 3 * len(self.places)
+        seen = np.isfinite(u[:, :n:3]) | np.isfinite(u[:, n::3])
         return self.segment > np.where(seen, last, 0).max(1)[:, None]
 
     def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
         """Return configurations, readings there, covariance, chi-square and number of readings used."""
         last = max(where.segment for where in places)
         robot = Chain(self.robot.segments[:last])
-        n, far = robot.n_q, np.full(robot.n_q, 1e6)
+        n, far = robot.n_q, np.full(robot.n_q, _FAR)
         noise = np.repeat(self.noise, 3 * len(places))
         method = LevenbergMarquardt(_Bodies(robot, places), -far, far, noise, tolerance=tolerance)
         known = None if self.free.all() else self.known[:n]
@@ -362,6 +426,45 @@ class _Search:
                 for old, new in zip(found, again, strict=True):
                     old[bad[lower]] = new[lower]
         return found
+
+    def freedom(self, found: tuple[Array, ...], u: Array) -> Array:
+        """Return degrees of freedom of every shape: readings less the directions that they determine."""
+        wide = _FAR**2 / 3  # the variance of what nothing shows
+        known = 1 - np.minimum(np.diagonal(found[2], axis1=1, axis2=2) / wide, 1.0)
+        return np.maximum(found[4] - (known * (self.free & ~self.unseen(u))).sum(1).round().astype(int), 0)
+
+    def judged(
+        self, found: tuple[Array, ...], u: Array, places: list[Place], leave_out: bool
+    ) -> tuple[Array, Array]:
+        """Return which readings were left out, and the status of every shape.
+
+        What is left out becomes NaN in ``u``, and a shape that fits without it takes the place of the one in
+        ``found``.
+        """
+        before, dof = np.isfinite(u), self.freedom(found, u)
+        typical = _typical(found[3], dof)
+        bad = np.flatnonzero(_misfit(found[3] / typical, dof) > 1)
+        status = np.where(dof > 0, "consistent", "unchecked").astype(object)
+        status[(self.unseen(u) | (np.diagonal(found[2], axis1=1, axis2=2) > _FAR)).any(1)] = "undetermined"
+        status[bad] = "inconsistent"
+        if not leave_out or not len(bad):
+            return before & ~np.isfinite(u), status
+
+        tried, fits = [], []
+        for k in range(len(places)):
+            others = u[bad].reshape(len(bad), 2, -1, 3)
+            others[:, :, k] = np.nan
+            others = others.reshape(len(bad), -1)
+            again = self.best(others, places)
+            dof = self.freedom(again, others)
+            tried.append((*again, others))
+            fits.append((dof > 0) & (_misfit(again[3] / typical, dof) < 1))
+        alone = np.sum(fits, axis=0) == 1  # else another body explains the misfit as well
+        for fit, now in zip(tried, fits, strict=True):
+            for old, new in zip((*found, u), fit, strict=True):
+                old[bad[now & alone]] = new[now & alone]
+        status[bad[alone]] = "left out"
+        return before & ~np.isfinite(u), status
 
     def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
         """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""

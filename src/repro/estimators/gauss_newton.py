@@ -46,8 +46,9 @@ def gauss_newton(
     tolerance: float = 1e-6,
     slack: float = 1.0,
     damping: float = 1e-3,
+    start: Array | None = None,
 ) -> Fit:
-    """Minimise the residuals and a prior from zero on.
+    """Minimise the residuals and a prior around zero.
 
     Parameters
     ----------
@@ -63,6 +64,8 @@ def gauss_newton(
         By what factor the cost may grow, where the variances of the residuals depend on the parameters.
     damping
         The least damping, where a step leads to something worse; in a narrow valley that bends more would only creep.
+    start
+        Where the iteration starts ``[k]``; at zero if not given.
 
     Raises
     ------
@@ -79,7 +82,7 @@ def gauss_newton(
     >>> gauss_newton(trial_of, np.ones(1)).z.round(6)
     array([1.])
     """
-    z, damped = np.zeros(len(prior)), 0.0
+    z, damped = np.zeros(len(prior)) if start is None else start, 0.0
     first = last = trial_of(z)
     cost, A, g = last.equations()
     for _ in range(iterations):

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,9 @@ class Arm:
         Turn of the base against the orientation given for it to :meth:`select`, a quaternion XYZW.
     origin
         Where the links begin, in the world [m].
+    link_offsets
+        For a rigid-body model, where each link ends beside its length along z, in the frame of its IMU
+        ``[links, 3]`` [m]; nowhere else if not given.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class Arm:
     interpolation: str = "midpoints"
     base_turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
     origin: Sequence[float] = (0.0, 0.0, 0.0)
+    link_offsets: Sequence[Sequence[float]] = ()
 
     def __post_init__(self) -> None:
         k, n = numbers(self.imus, "imus", "Arm", (None,)), numbers(self.sub_segments, "sub_segments", "Arm")
@@ -104,6 +108,9 @@ class Arm:
         known = self.interpolation in ("midpoints", "inner points")
         require(known, "interpolation", "Arm", "'midpoints' or 'inner points'", repr(self.interpolation))
         unit_quaternions(self.base_turn, "base_turn", "Arm", (4,))
+        if len(self.link_offsets):
+            require(links == len(k), "link_offsets", "Arm", "those of a rigid-body model", self.link_offsets)
+            found["link_offsets"] = numbers(self.link_offsets, "link_offsets", "Arm", (links, 3))
         for name, values in (found | {"imus": k.astype(int)}).items():
             object.__setattr__(self, name, tuple(values.tolist()))
         object.__setattr__(self, "sub_segments", tuple(n.astype(int).tolist()) if n.ndim else int(n))
@@ -191,8 +198,25 @@ def rigid_body(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Arr
     >>> rigid_body([[0, 0, 0, 1], [0, np.sqrt(0.5), 0, np.sqrt(0.5)]], arm, [0.04, 0.16]).round(3) + 0.0
     array([[0.  , 0.  , 0.04],
            [0.08, 0.  , 0.08]])
+
+    One link that ends 10 mm beside its z axis:
+
+    >>> rigid_body([[0, 0, 0, 1]], Arm([1], [0.0], [0.08], link_offsets=[[0.01, 0, 0]]), 0.08)
+    array([[0.01, 0.  , 0.08]])
     """
-    return _positions(orientations, arm, arc_lengths, "rigid_body")
+    p = _positions(orientations, arm, arc_lengths, "rigid_body")
+    return p + _beside(orientations, arm, arc_lengths) if arm.link_offsets else p
+
+
+def _beside(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
+    """Return how far points are from where lengths along z alone would take them ``[..., points, 3]``."""
+    q = unit_quaternions(orientations, "orientations", "rigid_body", (..., len(arm.imus), 4))
+    lengths = np.array(arm.link_lengths)
+    starts = np.cumsum(lengths) - lengths
+    share = np.clip((np.atleast_1d(arc_lengths)[:, None] - starts) / lengths, 0.0, 1.0)
+    v, w = np.array(arm.link_offsets), q[..., 3:]
+    twice = 2 * np.cross(q[..., :3], v)
+    return share @ (v + w * twice + np.cross(q[..., :3], twice))
 
 
 def pcc_extended(orientations: ArrayLike, arm: Arm, arc_lengths: ArrayLike) -> Array:
@@ -449,6 +473,10 @@ class ImuCalibration:
         """Position of the arm's base in the frame of the motion capture [m]."""
         return self.estimate[3:6]
 
+    def arm(self, arm: Arm) -> Arm:
+        """Return the arm that was calibrated with its links as they were found."""
+        return _with_links(arm, self.names, self.estimate)
+
 
 def calibrate_imus(
     orientations: ArrayLike,
@@ -462,6 +490,7 @@ def calibrate_imus(
     translation: float = 0.05,
     heading: float = math.radians(10.0),
     mounting: float = math.radians(5.0),
+    link: float = 0.0,
 ) -> ImuCalibration:
     r"""Fit the frame of the motion capture, and headings and mountings of the IMUs, to positions of markers.
 
@@ -497,6 +526,9 @@ def calibrate_imus(
         Tolerance of a heading [rad].
     mounting
         Tolerance of a mounting [rad].
+    link
+        Tolerance of where a link ends along each axis of its IMU [m]; zero for links as drawn. For a rigid-body
+        model: ``arm = calibration.arm(arm)`` has them as they were found.
 
     Raises
     ------
@@ -526,17 +558,20 @@ def calibrate_imus(
     tolerances = {"rotation": rotation, "translation": translation, "heading": heading, "mounting": mounting}
     for name, value in {"noise": noise, **tolerances}.items():
         require(0 < value < math.inf, name, owner, "positive", value)
+    fits = 0 <= link < math.inf and (not link or len(arm.link_lengths) == len(arm.imus))
+    require(fits, "link", owner, "not negative, and zero but for a rigid-body model", link)
     q = unit_quaternions(orientations, "orientations", owner, (None, len(arm.imus), 4))
     seen_at = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
     seen = np.isfinite(seen_at).all(axis=-1)
     require(seen.sum() >= 2, "markers", owner, "at least two positions that were seen", int(seen.sum()))
     seen_at = seen_at[seen]
-    names = _errors_of(arm, per_imu)
-    scale = np.array([tolerances[name.split("_")[0]] for name in names])
+    names = _errors_of(arm, per_imu, link > 0)
+    scale = np.array([{**tolerances, "link": link}[name.split("_")[0]] for name in names])
 
     def predicted(z: Array) -> Array:
         turned = _corrected(q, names, z * scale, arm.imus)
-        return model(turned, arm, arm.markers)[seen] + (z * scale)[3:6]
+        moved = _with_links(arm, names, z * scale)
+        return model(turned, moved, arm.markers)[seen] + (z * scale)[3:6]
 
     def residuals(z: Array) -> Array:
         return np.concatenate([((predicted(z) - seen_at) / noise).ravel(), z])
@@ -555,12 +590,24 @@ def calibrate_imus(
     )
 
 
-def _errors_of(arm: Arm, per_imu: bool) -> tuple[str, ...]:
-    """Return the names of what may be off: the frame, and heading and mounting of IMUs up to the last marker."""
+def _with_links(arm: Arm, names: tuple[str, ...], z: Array) -> Arm:
+    """Return an arm whose links end elsewhere."""
+    own = [k for k, name in enumerate(names) if name.startswith("link_")]
+    if not own:
+        return arm
+    before = np.array(arm.link_offsets) if arm.link_offsets else np.zeros((len(arm.link_lengths), 3))
+    moved = np.pad(z[own].reshape(-1, 3), ((0, len(before) - len(own) // 3), (0, 0)))
+    return replace(arm, link_offsets=(before + moved).tolist())
+
+
+def _errors_of(arm: Arm, per_imu: bool, links: bool) -> tuple[str, ...]:
+    """Return the names of what may be off: the frame, and headings, mountings and links up to the last marker."""
     last = max(arm.markers)
     own = [k for k, at in zip(arm.imus, arm.imu_arcs, strict=True) if per_imu and k > 0 and at <= last]
     names = [f"{part}_{axis}" for part in ("rotation", "translation") for axis in "xyz"]
-    return (*names, *(f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y")))
+    names += [f"{part}_{k}" for k in own for part in ("heading", "mounting_x", "mounting_y")]
+    ends = zip(arm.imus, np.cumsum(arm.link_lengths) - arm.link_lengths, strict=links)
+    return (*names, *(f"link_{x}_{k}" for k, begins in ends if links and begins < last for x in "xyz"))
 
 
 def calibrated(orientations: ArrayLike, calibration: ImuCalibration) -> Array:
@@ -599,6 +646,7 @@ def _corrected(q: Array, names: tuple[str, ...], z: Array, imus: Sequence[int]) 
     """Apply frame, headings and mountings."""
     row = [k for k, imu in enumerate(imus) if f"heading_{imu}" in names]
     heading, mounting = np.zeros((len(imus), 3)), np.zeros((len(imus), 3))
-    heading[row, 2], mounting[row, 0], mounting[row, 1] = z[6::3], z[7::3], z[8::3]
+    own = z[6 : 6 + 3 * len(row)].reshape(-1, 3)
+    heading[row, 2], mounting[row, 0], mounting[row, 1] = own.T
     before = _product(_exponential(z[:3]), _exponential(heading))
     return _product(_product(before, q), _exponential(mounting))

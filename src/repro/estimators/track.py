@@ -340,7 +340,7 @@ def _run(
     given, n, times = rows.given, len(rows.u), rows.t.tolist()
     states, estimates, hidden = [], [], []
     found: dict[str, Any] = {}
-    for k in _with_bar(n, progress):
+    for k in with_bar(n, progress):
         u = rows.u[k]
         if near is not None:
             hidden.append(near.readings())
@@ -469,7 +469,8 @@ def _times(n: int, times: ArrayLike | None, rate_hz: float | None, owner: str, *
     return np.arange(n) / rate
 
 
-def _with_bar(n: int, label: str | None) -> Iterable[int]:
+def with_bar(n: int, label: str | None) -> Iterable[int]:
+    """Return the numbers below ``n``, with a progress bar if it has a label."""
     if label is None:
         return range(n)
     from rich.progress import track as bar
