@@ -22,8 +22,8 @@ from repro.parts import Assembly, Sensor
 from repro.plots import plot_chips
 from repro.sensing import sensing_of
 
-_EVALUATIONS, _AS_BUILT = 500, 0.2
-"""Layouts that are tried with the chips of the design, and the share of them where each takes the tolerances too."""
+_AS_BUILT = 0.2
+"""Share of the layouts that are tried where each takes the tolerances too, which is slow."""
 _DRAWN, _STARTS, _STEPS = 0.3, 4, (0.5, 0.01)
 """Share of the layouts that are drawn, how many of them are refined, and the first and last step, of a range."""
 _FEWER, _MORE, _OTHER = 2, 3, 0.2
@@ -90,6 +90,7 @@ def improve_design(
     as_built: bool = False,
     samples: int = 400,
     seed: int = 0,
+    tries: int = 500,
     show: Callable[[object], None] | None = None,
 ) -> Improvement:
     """Look for a better design where one cannot work or misses a target: see :meth:`repro.Robot.check`.
@@ -105,6 +106,8 @@ def improve_design(
         Make the deviation before a calibration small, else the one after.
     samples, seed
         As for a check. The same seed finds the same design.
+    tries
+        Layouts that are tried with the chips of the design; each other number of chips takes a fifth of it more.
     show
         Is called with a sentence on the progress.
 
@@ -124,13 +127,16 @@ def improve_design(
     >>> improve_design(robot).can_work
     True
     """
+    require(tries >= 20, "tries", "improve", "at least 20", tries)
+    require(target is None or target > 0, "target", "improve", "positive [m]", target)
     before = check_design(robot, samples=samples, seed=seed)
     stays = Improvement(**vars(before), robot=robot, before=before, remarks=(), changes=(), by_chips=())
     if not falls_short(before, target, as_built):
         enough = "This design needs no better one. State a smaller target to look for one."
         return replace(stays, remarks=(enough,))
     start, remark = _with_freedom(robot)
-    found = _Search(as_built, seed, show or (lambda _: None)).by_chips(start)
+    budget = int(tries * (_AS_BUILT if as_built else 1.0))
+    found = _Search(as_built, seed, budget, show or (lambda _: None)).by_chips(start)
     by_chips = tuple(
         ChipsAgainstError(
             k, *(median_tip(found[k], as_built=x, samples=samples, seed=seed) for x in (False, True))
@@ -250,10 +256,9 @@ def _free_parts(robot: Assembly) -> list[tuple[str, int]]:
 class _Search:
     """Looks for the layout with the smallest median deviation of the tip."""
 
-    def __init__(self, as_built: bool, seed: int, show: Callable[[object], None]) -> None:
-        self.as_built, self.seed, self.show = as_built, seed, show
+    def __init__(self, as_built: bool, seed: int, budget: int, show: Callable[[object], None]) -> None:
+        self.as_built, self.seed, self.budget, self.show = as_built, seed, budget, show
         self.rng = np.random.default_rng(seed)
-        self.budget = int(_EVALUATIONS * (_AS_BUILT if as_built else 1.0))
 
     def error(self, robot: Assembly) -> float:
         """Return the median deviation of the tip [m]; infinite where magnets touch, or no reading is a number."""
