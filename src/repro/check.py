@@ -191,7 +191,7 @@ def median_tip(robot: Assembly, *, as_built: bool = False, samples: int = 100, s
     --------
     >>> import numpy as np, repro
     >>> robot = repro.load_robot(repro.example() / "robot.toml")
-    >>> median_tip(robot, samples=50) == np.median(robot.check(samples=50).tip_within_bounds)
+    >>> bool(median_tip(robot, samples=50) == np.median(robot.check(samples=50).tip_within_bounds))
     True
     """
     seen = _seen(robot, samples, seed)
