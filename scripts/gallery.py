@@ -67,7 +67,7 @@ def section(name: str) -> str:
 ## {TITLES[name]}
 
 ```{{image}} gallery/{name}.png
-:alt: {TITLES[name]}, at rest, in mm
+:alt: {TITLES[name]}, in the middle of its bounds and moved, in mm
 :width: 360px
 ```
 
@@ -86,7 +86,14 @@ def main() -> None:
     pictures = ROOT / "book" / "gallery"
     pictures.mkdir(exist_ok=True)
     for name in TITLES:
-        axes = load_robot(FILES / f"{name}.toml").plot()
+        robot = load_robot(FILES / f"{name}.toml")
+        lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+        axes = robot.plot(
+            [lower + share * (upper - lower) for share in (0.5, 0.85)], labels=["middle", "moved"]
+        )
+        if name == "hanging_arm":
+            axes.invert_zaxis()  # the base is above: half a turn about y
+            axes.invert_xaxis()
         axes.figure.savefig(pictures / f"{name}.png", dpi=70, metadata={"Software": None})
         plt.close(axes.figure)
     page = HEAD + "".join(section(name) for name in TITLES)

@@ -36,7 +36,10 @@ _NO_HELP = 0.01
 
 
 class ChipsAgainstError(NamedTuple):
-    """The best layout with a number of chips: median deviation of the tip after a calibration and before [m]."""
+    """The best layout with a number of chips: median deviation of the tip after a calibration and before [m].
+
+    Neither is above what is known without readings.
+    """
 
     chips: int
     calibrated: float
@@ -137,12 +140,7 @@ def improve_design(
     start, remark = _with_freedom(robot)
     budget = int(tries * (_AS_BUILT if as_built else 1.0))
     found = _Search(as_built, seed, budget, show or (lambda _: None)).by_chips(start)
-    by_chips = tuple(
-        ChipsAgainstError(
-            k, *(median_tip(found[k], as_built=x, samples=samples, seed=seed) for x in (False, True))
-        )
-        for k in sorted(found)
-    )
+    by_chips = tuple(_row(k, found[k], before.spread, samples, seed) for k in sorted(found))
 
     n = len(robot.sensors)
     checks = {k: check_design(found[k], samples=samples, seed=seed) for k in sorted(found) if k >= n}
@@ -164,6 +162,11 @@ def improve_design(
         **vars(check), robot=better, before=before, remarks=(remark, outcome),
         changes=tuple(step.words for step in taken), by_chips=by_chips,
     )  # fmt: skip
+
+
+def _row(chips: int, robot: Assembly, spread: float, samples: int, seed: int) -> ChipsAgainstError:
+    calibrated, as_built = (median_tip(robot, as_built=x, samples=samples, seed=seed) for x in (False, True))
+    return ChipsAgainstError(chips, min(calibrated, spread), min(as_built, spread))
 
 
 def median_of(check: DesignCheck, as_built: bool) -> float:
