@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,6 +79,11 @@ class DesignCheck:
     verdict: str
 
     @property
+    def grades(self) -> tuple[bool, bool, bool]:
+        """Whether it can work: in most shapes, in all but a twentieth of them, and before a calibration."""
+        return _grades(self.tip_within_bounds, self.tip_as_built, self.spread)
+
+    @property
     def idle(self) -> tuple[str, ...]:
         """Sensors and IMUs that contribute nothing."""
         return tuple(name for name, nats in self.added.items() if nats < _IDLE)
@@ -87,7 +92,7 @@ class DesignCheck:
         """Return a few lines, the verdict last."""
         built = _in_words(self.tip_as_built)
         if np.median(self.tip_as_built) > self.spread:
-            built = f"no better than without readings, {_length(self.spread)}"
+            built = f"no better than without readings, {length_in_words(self.spread)}"
         lines = [
             f"Tip in {len(self.q)} random shapes, ± one standard deviation: the median, and the worst twentieth",
             f"tip by the readings alone: {_in_words(self.tip)}",
@@ -104,14 +109,20 @@ class DesignCheck:
         return "\n".join([*lines, *self.notes, self.verdict])
 
 
-def _length(std: float) -> str:
+def length_in_words(std: float) -> str:
+    """Return a deviation [m] as ± mm."""
     return _OPEN if std >= 1.0 else f"±{1e3 * std:.2g} mm" if std < 0.0995 else f"±{1e3 * std:.0f} mm"
 
 
-def _in_words(std: Array) -> str:
+def _middle_and_worst(std: Array) -> tuple[float, float]:
     """Return the median, and what a twentieth of the workspace exceeds."""
     middle, worst = np.quantile(std, [0.5, 0.95], method="nearest")
-    return f"{_length(middle)}, {_length(worst)}"
+    return float(middle), float(worst)
+
+
+def _in_words(std: Array) -> str:
+    middle, worst = _middle_and_worst(std)
+    return f"{length_in_words(middle)}, {length_in_words(worst)}"
 
 
 def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> DesignCheck:
@@ -145,6 +156,72 @@ def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> Desig
     >>> check_design(robot).can_work
     False
     """
+    seen = _seen(robot, samples, seed)
+    tip, within, built, hardly = _deviations(seen, _off_drawing(robot, seen.sensing, seen.q))
+    spread = float(np.sqrt(np.square(seen.p - seen.p.mean(0)).sum(-1).mean()))
+    expected = "one whose tip moves (add a link beyond a joint)"
+    require(spread > 1e-9, "robot", "check", expected, "one whose tip stays")
+
+    names = np.array(robot.coordinates)[seen.free].tolist()
+    can_work, verdict = _verdict(tip, within, built, spread)
+    return DesignCheck(
+        seen.q, tip, within, built, spread, _added(robot, seen.H), _saturated(robot, seen.u, seen.beyond),
+        _combinations(names, hardly), _notes(robot, seen.inside, names), can_work, verdict,
+    )  # fmt: skip
+
+
+def median_tip(robot: Assembly, *, as_built: bool = False, samples: int = 100, seed: int = 0) -> float:
+    """Return the median deviation of the tip by readings and bounds [m]: this part of a check alone.
+
+    Parameters
+    ----------
+    robot
+        As :func:`check_design` takes it.
+    as_built
+        With the tolerances of all parts, before a calibration; else after one.
+    samples, seed
+        As for a check.
+
+    Raises
+    ------
+    InputError
+        As :func:`check_design`.
+
+    Examples
+    --------
+    >>> import numpy as np, repro
+    >>> robot = repro.load_robot(repro.example() / "robot.toml")
+    >>> bool(median_tip(robot, samples=50) == np.median(robot.check(samples=50).tip_within_bounds))
+    True
+    """
+    seen = _seen(robot, samples, seed)
+    nothing = np.zeros((len(seen.q), robot.n_readings, 0))
+    off = _off_drawing(robot, seen.sensing, seen.q) if as_built else nothing
+    _, within, built, _ = _deviations(seen, off)
+    return float(np.median(built if as_built else within))
+
+
+class _Seen(NamedTuple):
+    """Random shapes, and what readings tell in them."""
+
+    sensing: Sensing
+    free: Array
+    """Which coordinates are free ``[n_q]``; all slopes are by these, in units of what the bounds leave of them."""
+    q: Array
+    u: Array
+    p: Array
+    tips: Array
+    """Slopes of the tip ``[n, 3, free]`` [m]."""
+    H: Array
+    """Slopes of the readings in units of their noise ``[n, s, free]``, zero for a reading that counts nothing."""
+    noise: Array
+    inside: Array
+    """Which readings are too near a magnet, and which ones are beyond their range ``[n, s]``."""
+    beyond: Array
+
+
+def _seen(robot: Assembly, samples: int, seed: int) -> _Seen:
+    """Return random shapes within the bounds, and what readings tell in them; refuse a robot that has none."""
     owner = "check"
     lower, upper, noise = _stated(robot, owner)
     require(samples > 1, "samples", owner, "at least 2", samples)
@@ -156,22 +233,10 @@ def check_design(robot: Assembly, *, samples: int = 400, seed: int = 0) -> Desig
     require(good.sum() > 1, "robot", owner, "one with finite readings", "none in most shapes")
     q, u, J = q[good], u[good], J[good]
     inside, beyond = sensing.too_near(q), robot.missing(u) == 2
-
     p, G = robot.tip_slopes(q)
     scale = (upper - lower)[free] / math.sqrt(12)
     H = np.where((beyond | inside)[..., None], 0.0, J[..., free] * scale / noise[:, None])
-    off = _off_drawing(robot, sensing, q)
-    tip, within, built, hardly = _deviations(H, G[..., free] * scale, off, noise)
-    spread = float(np.sqrt(np.square(p - p.mean(0)).sum(-1).mean()))
-    expected = "one whose tip moves (add a link beyond a joint)"
-    require(spread > 1e-9, "robot", owner, expected, "one whose tip stays")
-
-    names = np.array(robot.coordinates)[free].tolist()
-    can_work, verdict = _verdict(tip, within, built, spread)
-    return DesignCheck(
-        q, tip, within, built, spread, _added(robot, H), _saturated(robot, u, beyond),
-        _combinations(names, hardly), _notes(robot, inside, names), can_work, verdict,
-    )  # fmt: skip
+    return _Seen(sensing, free, q, u, p, G[..., free] * scale, H, noise, inside, beyond)
 
 
 def _stated(robot: Assembly, owner: str) -> tuple[Array, Array, Array]:
@@ -182,11 +247,12 @@ def _stated(robot: Assembly, owner: str) -> tuple[Array, Array, Array]:
     return stated
 
 
-def _deviations(H: Array, tips: Array, off: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
+def _deviations(seen: _Seen, off: Array) -> tuple[Array, Array, Array, Array]:
     """Return deviations of the tip: by readings, with bounds, as built; and shares of coordinates hardly determined.
 
-    ``H`` are slopes of the readings in units of the ``noise``; ``off`` is by how much parts may move the readings.
+    ``off`` is by how much parts may move the readings.
     """
+    H, tips = seen.H, seen.tips
     values, vectors = np.linalg.eigh(np.swapaxes(H, 1, 2) @ H)
     empty = values <= 1e-12 * np.maximum(values[:, -1:], 1.0)
     inverse = np.where(empty, 0.0, 1 / np.where(empty, 1.0, values))
@@ -196,7 +262,7 @@ def _deviations(H: Array, tips: Array, off: Array, noise: Array) -> tuple[Array,
     tip = np.where(lost, np.inf, np.sqrt((along * inverse).sum(1)))
     left = 1 / (1 + np.maximum(values, 0.0))
     within = (along * left).sum(1)
-    gain = tips @ (vectors * left[:, None]) @ np.swapaxes(H @ vectors, 1, 2) / noise
+    gain = tips @ (vectors * left[:, None]) @ np.swapaxes(H @ vectors, 1, 2) / seen.noise
     built = np.sqrt(within + np.square(gain @ off).sum((1, 2)))
     hardly = np.square(vectors) * (left > _UNDETERMINED**2)[:, None]
     return tip, np.sqrt(within), built, hardly.sum(-1).mean(0)
@@ -306,15 +372,26 @@ def _combinations(names: list[str], shares: Array) -> tuple[str, ...]:
     return tuple(texts)
 
 
+def _grades(within: Array, built: Array, spread: float) -> tuple[bool, bool, bool]:
+    """Whether readings tell much: in most shapes, in all but a twentieth of them, and before a calibration."""
+    middle, worst = _middle_and_worst(within)
+    limit = _HOPELESS * spread
+    return middle < limit, worst < limit, bool(np.median(built) < limit)
+
+
 def _verdict(tip: Array, within: Array, built: Array, spread: float) -> tuple[bool, str]:
-    middle, worst = np.quantile(within, [0.5, 0.95], method="nearest")
-    if not middle < _HOPELESS * spread:
-        allow = _length(np.quantile(tip, 0.5, method="nearest"))
+    middle, worst = _middle_and_worst(within)
+    mostly, throughout, as_built = _grades(within, built, spread)
+    if not mostly:
+        allow = length_in_words(np.quantile(tip, 0.5, method="nearest"))
         allow = "leave the tip open" if allow == _OPEN else f"allow {allow}"
-        bounds = f"the bounds alone allow {_length(spread)}"
+        bounds = f"the bounds alone allow {length_in_words(spread)}"
         return False, f"This robot cannot work: the readings {allow}, and {bounds}."
-    word = "works in part of its workspace" if not worst < _HOPELESS * spread else "can work"
-    if not np.median(built) < _HOPELESS * spread:
+    word = "can work" if throughout else "works in part of its workspace"
+    if not as_built:
         word += " once it is calibrated"
-    known = f"{_length(middle)}, to {_length(worst)} in all but a twentieth of its shapes"
-    return True, f"This robot {word}: the tip is known to {known} (without readings {_length(spread)})."
+    known = f"{length_in_words(middle)}, to {length_in_words(worst)} in all but a twentieth of its shapes"
+    return (
+        True,
+        f"This robot {word}: the tip is known to {known} (without readings {length_in_words(spread)}).",
+    )

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from repro.chain import Place, check_tolerance, place
 from repro.common import Array, ArrayLike, numbers, require, scalar
-from repro.parts import Assembly
+from repro.parts import Assembly, check_free
 
 
 @dataclass(frozen=True)
@@ -255,6 +255,9 @@ class Magnet:
         Standard deviations by which it may be off its drawing: a mapping with some of ``position`` (along every
         axis), ``at`` (along the backbone), ``size`` (every dimension) [m], ``tilt`` [rad], ``polarisation``
         (relative).
+    free
+        Ranges in which a better design may put it, of :func:`.improve_design`: a mapping from some of ``at`` [m],
+        ``azimuth`` [rad] and its dimensions, such as ``height`` [m], to ``(lowest, highest)``.
 
     Raises
     ------
@@ -273,11 +276,13 @@ class Magnet:
     direction: ArrayLike | None = None
     position: ArrayLike | None = None
     tolerance: Mapping[str, float] | None = None
+    free: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         known = isinstance(self.shape, Shape)
         require(known, "shape", "Magnet", "a Ring, Disc or Cube", type(self.shape).__name__)
         check_tolerance(self.tolerance, "Magnet")
+        check_free(self, [name for name in vars(self.shape) if name != "polarisation_mt"])
         _ = self.place
 
     @cached_property

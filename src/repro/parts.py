@@ -15,6 +15,15 @@ from repro.chain import Chain, Place, Segment, check_tolerance, place, unit_quat
 from repro.common import Array, ArrayLike, numbers, require, scalar
 
 
+def check_free(part: Any, sizes: Sequence[str] = ()) -> None:
+    """Refuse a part whose freedom is not its own, or no range."""
+    owner, known = type(part).__name__, ("at", "azimuth", *sizes)
+    for name, ends in (part.free or {}).items():
+        require(name in known, "free", owner, f"of {', '.join(known)}", repr(name))
+        low, high = numbers(ends, f"free {name}", owner, (2,))
+        require(low < high, f"free {name}", owner, "(lowest, highest), the smaller first", ends)
+
+
 @dataclass(frozen=True)
 class Sensor:
     r"""A magnetic sensor with one measuring axis, or a chip with three.
@@ -64,6 +73,9 @@ class Sensor:
     tolerance
         Standard deviations by which it may be off its drawing: a mapping with some of ``position``, ``at``,
         ``radius`` [m], ``azimuth``, ``tilt`` [rad], ``gain`` (relative), ``offset`` [mT].
+    free
+        Ranges in which a better design may put it, of :func:`.improve_design`: a mapping from some of ``at`` [m],
+        ``azimuth`` [rad] to ``(lowest, highest)``.
 
     Raises
     ------
@@ -95,6 +107,7 @@ class Sensor:
     per_mt: float = 1.0
     unit: str = "mT"
     tolerance: Mapping[str, float] | None = None
+    free: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         require(self.axes in (1, 3), "axes", "Sensor", "1 or 3", self.axes)
@@ -119,6 +132,7 @@ class Sensor:
         require(positive, "noise", "Sensor", "positive [mT]", self.noise)
         require(math.isfinite(self.per_mt) and self.per_mt, "per_mt", "Sensor", "not zero", self.per_mt)
         check_tolerance(self.tolerance, "Sensor")
+        check_free(self)
         require(self.radial >= 0, "radial", "Sensor", "not negative [m]", self.radial)
         turned = self.direction is not None or bool(self.tilt)
         expected = "for one axis; orientation is for three"

@@ -195,6 +195,37 @@ def plot_shape(shape: Any, axes: Any = None) -> Any:
     return axes
 
 
+def plot_chips(rows: Sequence[Any], axes: Any = None) -> Any:
+    """Draw how well the tip is known over the number of chips: see :meth:`.Improvement.plot`.
+
+    Parameters
+    ----------
+    rows
+        Number of chips, and median deviations of the tip after a calibration and before [m].
+    axes
+        matplotlib axes to draw on; new ones if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        Deviations in mm, on a logarithmic axis.
+    """
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    require(len(rows), "rows", "plot", "those of a design for which a better one was sought", "none")
+    with mpl.rc_context({"text.usetex": False}):
+        ax = plt.figure(figsize=(5.6, 3.6), layout="constrained").add_subplot() if axes is None else axes
+        chips, after, before = np.array(rows, dtype=float).T
+        ax.plot(chips, 1e3 * before, "o--", color=_COLOURS[1], label="before a calibration")
+        ax.plot(chips, 1e3 * after, "o-", color=_COLOURS[0], label="after a calibration")
+        ax.set(xlabel="chips", ylabel="± of the tip, median [mm]", yscale="log", xticks=chips)
+        for axis in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+            axis("{x:g}")
+        ax.legend(frameon=False)
+    return ax
+
+
 def _readings(shape: Any, usual: Sequence[Any], above: Any, below: Any) -> None:
     s = shape.u_hat.shape[-1]
     above.set_prop_cycle(color=_tones(usual, s))

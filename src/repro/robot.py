@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from repro.check import DesignCheck, check_design
-from repro.common import ArrayLike
+from repro.common import ArrayLike, require
+from repro.improve import Improvement, improve_design
 from repro.parts import Assembly
 from repro.plots import plot_robot
 from repro.sensing import Sensing, sensing_of
@@ -107,26 +108,55 @@ class Robot(Assembly):
         """
         return read_readings(self, table)
 
-    def check(self, *, samples: int = 400, seed: int = 0) -> DesignCheck:
+    @overload
+    def check(self, *, samples: int = 400, seed: int = 0) -> DesignCheck: ...
+
+    @overload
+    def check(
+        self,
+        *,
+        samples: int = 400,
+        seed: int = 0,
+        improve: Literal["calibrated", "as built"],
+        target: float | None = None,
+    ) -> Improvement: ...
+
+    def check(
+        self, *, samples: int = 400, seed: int = 0, improve: str | None = None, target: float | None = None
+    ) -> DesignCheck:
         """Ask whether the design can work, before any reading is taken: see :class:`repro.check.DesignCheck`.
 
         In random shapes within the bounds it finds how well readings determine the tip, by noise alone and with the
         tolerances of the parts; sensors that contribute nothing or go beyond their range; what stays undetermined.
         ``print`` shows it in a few lines, the last of them a verdict.
 
+        With ``improve`` it looks for a better design where this one cannot work or misses a target, by moving what is
+        ``free`` of magnets and sensors, and by more chips: the smallest median deviation of the tip. It returns the
+        check of the better design, an :class:`repro.improve.Improvement` with the changes in words and the better
+        robot.
+
         Parameters
         ----------
         samples
             Number of random shapes.
         seed
-            Seed of their generator.
+            Seed of their generator, and of the search.
+        improve
+            ``"calibrated"`` or ``"as built"``: make the deviation small after a calibration or before one.
+        target
+            Median deviation of the tip that is wanted [m], with ``improve``.
 
         Raises
         ------
         InputError
-            If the robot states no bounds or no noise, or has no sensors.
+            If the robot states no bounds or no noise, or has no sensors; or nothing of it may change.
         """
-        return check_design(self, samples=samples, seed=seed)
+        if improve is None:
+            require(target is None, "target", "check", "left out without improve", target)
+            return check_design(self, samples=samples, seed=seed)
+        known = ("calibrated", "as built")
+        require(improve in known, "improve", "check", f"one of {', '.join(known)}", repr(improve))
+        return improve_design(self, target=target, as_built=improve == "as built", samples=samples, seed=seed)
 
     def plot(
         self, q: ArrayLike | None = None, *, axes: Any = None, labels: Sequence[str] | None = None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import re
 import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
@@ -17,11 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from repro.chain import AffineCurvature, BallJoint, ConstantCurvature, FreeBody, Link, point_on
-from repro.common import ArrayLike, InputError, bad_input, require
+from repro.common import ArrayLike, InputError, bad_input, require, whole
 from repro.estimators.calibration import load_calibration
 from repro.magnets import Cube, Disc, Magnet, Ring
 from repro.networks import Network, load_network
-from repro.parts import Imu, Sensor, Source
+from repro.parts import Assembly, Imu, Sensor, Source
 from repro.robot import Robot
 
 _SI = {"mm": 1e-3, "deg": math.pi / 180, "percent": 1e-2}
@@ -159,6 +160,7 @@ _PLACE = {
     "segment": _number(0, 10_000, "number of a segment, 0 for the base"),
     "at_mm": _number(0.1, 5000.0, "mm", 0.0),
     "tolerance": _TABLE,
+    "free": _TABLE,
 }
 _POSITION = _vector("along x, y, z of the cross-section", "mm", most=5000.0)
 _DIRECTION = _vector("along x, y, z of the cross-section")
@@ -213,6 +215,10 @@ _MAGNETS: dict[str, dict[str, _Key]] = {
     "cube": {"edge_mm": _SIZE, "polarisation_mt": _POLARISATION},
 }
 _CUBE_BY_SIDE = {"cube": {"side_mm": _SIZE, "polarisation_mt": _POLARISATION}}
+_RANGE_MM = _Key(
+    "[lowest, highest] [mm], the smaller first", lambda x: _numbers(x, 2) and x[0] < x[1], None, "mm"
+)
+_RANGE_DEG = _RANGE_MM._replace(must_be="[lowest, highest] [deg], the smaller first", unit="deg")
 _STD_MM = _number(0.0, 1000.0, "mm", None)._replace(
     doubt=lambda x: "looks like metres" if 0 < x < 5e-3 else ""
 )
@@ -508,6 +514,20 @@ def _tolerance(document: _Document, name: str, k: int) -> dict[str, float] | Non
     return {known[key][0]: value for key, value in given.items() if value is not None} or None
 
 
+def _free(
+    document: _Document, name: str, k: int, sizes: Iterable[str] = ()
+) -> dict[str, tuple[float, float]] | None:
+    """Return the ranges of what is free of a part."""
+    ranges = {"at_mm": _RANGE_MM, "azimuth_deg": _RANGE_DEG, **dict.fromkeys(sizes, _RANGE_MM)}
+    given = document.read(ranges, name, k, "free")
+    attributes = {"azimuth_deg": "azimuth", "side_mm": "edge"}
+    return {
+        attributes.get(key, key.removesuffix("_mm")): (ends[0], ends[1])
+        for key, ends in given.items()
+        if ends
+    } or None
+
+
 def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:
     others = {**_PLACE, "position_mm": _POSITION, "direction": _DIRECTION}
     kinds = _MAGNETS | (_CUBE_BY_SIDE if "side_mm" in document.tables("magnets")[k] else {})
@@ -517,9 +537,13 @@ def _magnet(document: _Document, k: int, bare: Robot) -> Magnet:
         at = ("magnets", k, "inner_diameter_mm")
         raise document.error(at, "below outer_diameter_mm", f"{1e3 * sizes[1]:g}")
     where = _place(document, "magnets", k, row, bare)
+    free = _free(document, "magnets", k, [key for key in kinds[row["kind"]] if key.endswith("_mm")])
     with document.at("magnets", k):
         shape = {"ring": Ring, "disc": Disc, "cube": Cube}[row["kind"]](*sizes)
-        return Magnet(shape, **where, direction=row["direction"], position=row["position_mm"])
+        return Magnet(
+            shape, **where, direction=row["direction"], position=row["position_mm"],
+            free=free,
+        )  # fmt: skip
 
 
 def _sensor(
@@ -558,6 +582,7 @@ def _sensor(
     if row["rotation_vector_rad"] is not None:
         row["orientation"] = Rotation.from_rotvec(row["rotation_vector_rad"]).as_quat()
     where = _place(document, "sensors", k, row, bare)
+    free = _free(document, "sensors", k)
     with document.at(*place):
         return Sensor(
             **where, radial=row["radial_mm"], azimuth=row["azimuth_deg"], tilt=row["tilt_deg"],
@@ -565,7 +590,7 @@ def _sensor(
             channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]), name=row["name"],
             range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, unit=unit,
             gain=1.0 if own else row[gain], noise=None if std is None else np.divide(std, abs(scale)).tolist(),
-            offset=np.divide(row[f"offset_{low}"], scale).tolist(),
+            offset=np.divide(row[f"offset_{low}"], scale).tolist(), free=free,
         )  # fmt: skip
 
 
@@ -581,7 +606,7 @@ def _check_channels(document: _Document, sensors: Sequence[Sensor]) -> None:
 
 def _imu(document: _Document, k: int, bare: Robot, world: ArrayLike | None, noise: float) -> Imu:
     keys = {
-        **_PLACE,
+        **{key: _PLACE[key] for key in ("segment", "at_mm", "tolerance")},
         "name": _TEXT,
         "stream": _number(0, 255, "number of a stream", None)._replace(not_beside="channels"),
         "channels": _channels(4),
@@ -613,3 +638,98 @@ def _networks(document: _Document, folder: Path) -> list[Network]:
             raise document.error(("model", "networks"), "files in the folder of the robot file", name)
     with document.at("model", "networks"):
         return [load_network(folder / name) for name in names]
+
+
+def write_improved(path: str | Path, better: Assembly, output: str | Path) -> None:
+    """Write a robot file with the changes of a better design; all else, and the comments, stay as they are.
+
+    Parameters
+    ----------
+    path
+        The robot file that was checked.
+    better
+        ``robot`` of the :class:`.Improvement` of this file.
+    output
+        The new file, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If a part is not a table of its own with a key on each line, or the new file is there already.
+    """
+    path, old = Path(path), load_robot(path)
+    document = _Document(path.name, path.read_bytes())
+    lines, added = path.read_bytes().decode("utf-8-sig").split("\n"), list[str]()
+    for name in ("magnets", "sensors"):
+        before: Sequence[Any] = getattr(old, name)
+        for k, part in enumerate(getattr(better, name)):
+            if k < len(before):
+                table = document.tables(name)[k]
+                _rewrite(document, lines, (name, k), _changes(before[k], part, table))
+                continue
+            like = next(n for n, own in enumerate(before) if _alike(own, part))
+            table = document.tables(name)[like]
+            own = (
+                {"name": part.name, "channels": list(part.channels)} if part.channels else {"name": part.name}
+            )
+            entries = (
+                {x: y for x, y in table.items() if x != "channel"} | own | _changes(before[like], part, table)
+            )
+            added += ["", f"[[{name}]]", *(f"{key} = {_toml(value)}" for key, value in entries.items())]
+    text = "\n".join([*lines, *added, ""] if added else lines)
+    with whole(output, "improved robot file") as part:
+        part.write_text(text, encoding="utf-8", newline="")
+        same = False
+        with suppress(InputError):
+            read = _robot(_Document(path.name, text.encode()), path.parent, "")
+            same = _numbers_of(read) == _numbers_of(better)
+        expected = "one whose parts are tables [[magnets]] and [[sensors]] with a key on each line"
+        require(same, "path", "write_improved", expected, path)
+
+
+def _numbers_of(robot: Assembly) -> list[Any]:
+    """Return what a better design may have changed."""
+    parts: list[Any] = [*robot.magnets, *robot.sensors]
+    own = ("at", "azimuth", "position", "name", "shape")
+    return [[str(vars(part).get(name)) for name in own] for part in parts]
+
+
+def _alike(chip: Sensor, copy: Sensor) -> bool:
+    """Whether a chip is a copy of another one at another place."""
+    places = ("at", "azimuth", "position", "name", "channels", "place", "free")
+    one, other = ({x: str(y) for x, y in vars(part).items() if x not in places} for part in (chip, copy))
+    return one == other
+
+
+def _changes(was: Any, part: Any, table: _Row) -> _Row:
+    """Return the keys of a part that are other numbers now, in their units."""
+    found: _Row = {"at_mm": round(1e3 * part.at, 6)} if part.at != was.at else {}
+    if part.position is not None and np.any(np.not_equal(part.position, was.position)):
+        found["position_mm"] = np.round(np.multiply(part.position, 1e3), 6).tolist()
+    if isinstance(part, Sensor):
+        azimuth = {"azimuth_deg": round(math.degrees(part.azimuth), 6)}
+        return found | (azimuth if part.azimuth != was.azimuth else {})
+    for name, size in vars(part.shape).items():
+        if size != vars(was.shape)[name]:
+            found["side_mm" if "side_mm" in table else f"{name}_mm"] = round(1e3 * size, 6)
+    return found
+
+
+def _rewrite(document: _Document, lines: list[str], place: _Where, changes: _Row) -> None:
+    """Put other numbers into the lines of a table, and new keys behind its head."""
+    for key, value in changes.items():
+        head = document.line(*place) - 1
+        if (*place, key) in document.lines:
+            at = document.line(*place, key) - 1
+            lines[at] = re.sub(r"=\s*(\[[^\]]*\]|[^#\s]+)", f"= {_toml(value)}", lines[at], count=1)
+        else:
+            lines[head] += f"\n{key} = {_toml(value)}"
+
+
+def _toml(value: object) -> str:
+    """Write a value as TOML does."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(own)}" for key, own in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else repr(value)

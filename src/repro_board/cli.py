@@ -11,11 +11,14 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-from repro.common import FULL_DISK, InputError, require
+from repro.common import FULL_DISK, InputError, require, whole
+
+if TYPE_CHECKING:
+    from repro.improve import Improvement
 
 ROBOT, BOARD, BOOK = (
     Group(name, sort_key=k) for k, name in enumerate(("A robot of your own", "A board on a wire", "The book"))
@@ -65,8 +68,18 @@ Faults = Annotated[list[tuple[str, str]] | None, pairs("--fault")]
 
 
 @app.command(group=ROBOT, sort_key=1)
-def check(robot: Path, /, *, samples: int = 400) -> int:
-    """Say whether a robot can work, before any reading is taken.
+def check(
+    robot: Path,
+    /,
+    *,
+    samples: int = 400,
+    target_mm: float | None = None,
+    improve: Flag = False,
+    before_calibration: Flag = False,
+    output: Output = None,
+    picture: Path | None = None,
+) -> int:
+    """Say whether a robot can work, before any reading is taken; with --improve, what would help it.
 
     Parameters
     ----------
@@ -74,13 +87,58 @@ def check(robot: Path, /, *, samples: int = 400) -> int:
         A robot file (TOML).
     samples
         How many random shapes are tried.
+    target_mm
+        How well the tip is to be known: the median of its ± after a calibration.
+    improve
+        Where it cannot work or misses the target, look for better places of its chips and magnets, and for more
+        chips. What may change is what the file marks as free.
+    before_calibration
+        The target, and the search, are about the ± before a calibration.
+    output
+        With --improve: the better robot, a new robot file.
+    picture
+        With --improve: the ± over the number of chips, a new picture (PNG, SVG or PDF).
     """
     from repro.check import check_design
+    from repro.improve import falls_short, improve_design
     from repro.robot_file import load_robot
 
-    found = check_design(load_robot(robot), samples=samples)
+    positive = target_mm is None or 0 < target_mm < math.inf
+    require(positive, "target_mm", "repro check", "positive", target_mm)
+    for name, given in (("output", output), ("picture", picture)):
+        require(improve or given is None, name, "repro check", "left out without --improve", given)
+    arm, target = load_robot(robot), None if target_mm is None else target_mm / 1e3
+    if improve:
+        with shown_in_place() as show:
+            found = improve_design(
+                arm, target=target, as_built=before_calibration, samples=samples, show=show
+            )
+        write_improvement(found, robot, output, picture)
+    else:
+        found = check_design(arm, samples=samples)
     print(found)
-    return 0 if found.can_work else 1
+    short = falls_short(found, target, before_calibration)
+    if short and found.can_work:
+        print(f"The target of ±{target_mm:g} mm is missed.")
+    return int(short)
+
+
+def write_improvement(found: Improvement, robot: Path, output: Path | None, picture: Path | None) -> None:
+    """Write the new robot file and the picture of a search, where they are wanted and there is something to write."""
+    from repro.robot_file import write_improved
+
+    if output is not None and found.changes:
+        write_improved(robot, found.robot, output)
+    if picture is not None and found.by_chips:
+        kinds = (".png", ".svg", ".pdf")
+        require(picture.suffix in kinds, "picture", "repro check", f"one of {', '.join(kinds)}", picture)
+        with whole(picture, "repro check") as part:
+            found.plot().figure.savefig(part, format=picture.suffix[1:])
+    for path, there in ((output, bool(found.changes)), (picture, bool(found.by_chips))):
+        if path is not None:
+            print(
+                f"{path}" if there else f"{path} is not written: there is nothing to write.", file=sys.stderr
+            )
 
 
 @app.command(group=ROBOT, sort_key=2)

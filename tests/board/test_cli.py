@@ -200,3 +200,27 @@ def test_a_terminal_without_a_sign_shows_a_question_mark(folder, monkeypatch):
     assert main(["check", str(folder / "robot.toml"), "--samples", "20"]) == 0
     sys.stdout.flush()
     assert b"known to ?" in sys.stdout.buffer.getvalue()
+
+
+def test_check_proposes_a_better_robot_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = (repro.example() / "robot.toml").read_text(encoding="utf-8")
+    Path("robot.toml").write_text(text, encoding="utf-8")
+    few = ["--samples", "20"]
+    error = 1e3 * np.median(repro.load_robot("robot.toml").check(samples=20).tip_within_bounds)
+    assert main(["check", "robot.toml", *few, "--target-mm", f"{1.01 * error}"]) == 0
+    capsys.readouterr()
+    assert main(["check", "robot.toml", *few, "--target-mm", f"{0.9 * error}"]) == 1
+    assert capsys.readouterr().out.endswith(f"The target of ±{0.9 * error:g} mm is missed.\n")
+    new = ["--improve", "-o", "new.toml", "--picture", "chips.svg"]
+    assert main(["check", "robot.toml", *few, "--target-mm", f"{1.01 * error}", *new]) == 0
+    assert "new.toml is not written: there is nothing to write." in capsys.readouterr().err
+    assert main(["check", "robot.toml", *few, "--target-mm", f"{0.9 * error}", *new]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert main(["check", "new.toml", *few, "--target-mm", f"{0.9 * error}"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == said[-1]
+    assert Path("chips.svg").read_bytes().startswith(b"<?xml")
+    assert main(["check", "robot.toml", *few, "-o", "other.toml"]) == 2
+    assert "output of repro check must be left out without --improve" in capsys.readouterr().err
+    assert main(["check", "robot.toml", *few, "--target-mm", "0"]) == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["chips.svg", "new.toml", "robot.toml"]

@@ -1,0 +1,44 @@
+"""The gallery: every robot loads and can work, and its page says what is in its file and what comes out of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from repro import load_robot
+
+ROOT = Path(__file__).parents[2]
+SPEC = importlib.util.spec_from_file_location("gallery", ROOT / "scripts" / "gallery.py")
+assert SPEC is not None
+assert SPEC.loader is not None
+gallery = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(gallery)
+PAGE = (ROOT / "book" / "gallery.md").read_text(encoding="utf-8")
+SECTIONS = dict(zip(gallery.TITLES, re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:], strict=True))
+
+
+def test_every_file_is_on_the_page():
+    assert {path.stem for path in gallery.FILES.glob("*.toml")} == set(gallery.TITLES)
+    assert {path.stem for path in (ROOT / "book" / "gallery").iterdir()} == set(gallery.TITLES)
+
+
+@pytest.mark.parametrize("name", gallery.TITLES)
+def test_a_robot_can_work_and_its_numbers_are_those_of_the_page(name):
+    robot, section = load_robot(gallery.FILES / f"{name}.toml"), SECTIONS[name]
+    check = robot.check(samples=100)
+    assert check.can_work
+    assert not check.saturated
+    assert not any("so close to a magnet" in note for note in check.notes)
+    assert section.startswith(gallery.TITLES[name])
+    assert (gallery.FILES / f"{name}.toml").read_text(encoding="utf-8") in section
+    (said,) = re.findall(rf"`repro check {name}.toml`: \*(.*?)\*", section)
+    now, stored = (re.sub(r"[\d.]+ mm", "", text) for text in (check.verdict, said))
+    assert now == stored
+    sizes = [[float(x) for x in re.findall(r"([\d.]+) mm", text)] for text in (check.verdict, said)]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.06)
+    (error,) = re.findall(r"a median error of ([\d.]+) mm", section)
+    assert float(error) == pytest.approx(gallery.tip_error(robot), rel=0.1)
+    assert float(error) < 1.5 * 1e3 * float(check.tip_within_bounds.mean())
