@@ -326,7 +326,7 @@ def against_lines() -> float:
     from repro_board.steps import Steps
     from repro_board.wire import Parser
 
-    robot, low, high, _, u = on_t3(1, few(400))
+    robot, low, high, _, u = on_t3(1, max(few(400), 40))
     robot = robot.replaced(lower=low, upper=high, noise=NOISE_MT)
     lines = [",".join(f"{x:.5f}" for x in row).encode() + b"\n" for row in u]
     sensing = repro.Sensing(robot)
