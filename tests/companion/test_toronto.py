@@ -173,7 +173,7 @@ CAPTURE = toronto.Capture("hit", np.zeros(0), np.zeros(0), ((0.1 * np.arange(4),
         (lambda: toronto.fast_tip(CAPTURE, [(ONCE, ONCE)], above=0.4), math.sqrt(50)),
         (lambda: toronto.fast_tip(CAPTURE, [(ONCE, ONCE)], above=1.1), math.nan),
         (
-            lambda: toronto.coverage_in_words(
+            lambda: toronto.region(
                 pd.DataFrame(
                     {
                         "shortest_mm": [1, 3],
@@ -183,12 +183,12 @@ CAPTURE = toronto.Capture("hit", np.zeros(0), np.zeros(0), ((0.1 * np.arange(4),
                     }
                 )
             ),
-            "ellipsoids with semi-axes of 1 to 20 mm cover 70 % of the positions (50 to 80 % by trial and estimator)",
+            {"axes": "1 to 20", "covered": "70 % (50 to 80 %)"},
         ),
     ],
 )
 def test_numbers_of_the_page_by_hand(found, expected):
-    assert found() == (expected if isinstance(expected, str) else pytest.approx(expected, nan_ok=True))
+    assert found() == (expected if isinstance(expected, dict) else pytest.approx(expected, nan_ok=True))
 
 
 def test_errors_of_imu_models_are_means_over_the_stations(monkeypatch):
