@@ -114,6 +114,7 @@ def number(value: object, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
+_TEMPLATES.filters["two"] = lambda value: number(value, 2)
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

@@ -154,10 +154,6 @@ def test_bodies_point_as_recorded_and_have_no_turn_about_the_arm():
 
 ONCE = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [6e-3, 8e-3, 0]])
 """An error of 10 mm once in four frames: 5 mm in the root mean square."""
-JUMP = np.tile(np.eye(4), (4, 1, 1))
-JUMP[3, 0, 3] = 0.1
-CAPTURE = toronto.Capture("hit", np.zeros(0), np.zeros(0), ((0.1 * np.arange(4), JUMP),), Path())
-"""The tip rests for two frames, then moves at 0.5 and 1 m/s."""
 
 
 @pytest.mark.parametrize(
@@ -169,9 +165,6 @@ CAPTURE = toronto.Capture("hit", np.zeros(0), np.zeros(0), ((0.1 * np.arange(4),
             ],
             [5, 10, 0, 5],
         ),
-        (lambda: toronto.fast_tip(CAPTURE, [(ONCE, ONCE)], above=0.6), 10),
-        (lambda: toronto.fast_tip(CAPTURE, [(ONCE, ONCE)], above=0.4), math.sqrt(50)),
-        (lambda: toronto.fast_tip(CAPTURE, [(ONCE, ONCE)], above=1.1), math.nan),
         (
             lambda: toronto.region(
                 pd.DataFrame(

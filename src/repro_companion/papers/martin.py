@@ -428,33 +428,21 @@ def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.Da
     return pd.concat(parts, ignore_index=True)
 
 
-def errors_along(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd.DataFrame:
-    """Return errors [mm] along the arm and by mode of motion, against the true points of the synthetic arm."""
-    arcs, parts = 0.04 * np.arange(1, 17), []
-    mode = np.concatenate([trial.mode[::every] for trial in trials])
-    for name, made in {
-        RIGID_8: arm("rigid"),
-        "IMUs at mid-section": mid_section(),
-        PCC_16: arm("pcc"),
-    }.items():
-        reach = arcs[arcs <= sum(made.link_lengths) + 1e-9]
-        off = [shape(x.orientations[::every], made, reach) - x.truth(moved, reach, every) for x in trials]
-        error = 1e3 * np.linalg.norm(np.concatenate(off), axis=-1)
-        parts.append(by_mode(error, mode, reach).assign(model=name))
-    return pd.concat(parts, ignore_index=True)[["model", "mode", "arc_mm", "median_mm", "q75_mm"]]
+def hull(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd.DataFrame:
+    """Return the arm in one pose of each mode, with the third quartile of the error as radius: Fig. 6.
 
-
-def hull(moved: Motion, trial: SyntheticTrial, along: pd.DataFrame) -> pd.DataFrame:
-    """Return the arm in one pose of each mode, with the third quartile of the error as radius: Fig. 6."""
-    own = along[(along["model"] == PCC_16) & (along["mode"] == "all")]
-    arcs, parts = own["arc_mm"].to_numpy() / 1e3, []
-    both = np.concatenate([trial.truth(moved, arcs), shape(trial.orientations, arm("pcc"), arcs)], axis=-1)
+    The errors are those of the PCC-extended model against the true points of the synthetic arm, in every n-th sample.
+    """
+    arcs, parts, first = 0.04 * np.arange(1, 17), [], trials[0]
+    off = [shape(x.orientations[::every], arm("pcc"), arcs) - x.truth(moved, arcs, every) for x in trials]
+    radius = np.percentile(1e3 * np.linalg.norm(np.concatenate(off), axis=-1), 75, axis=0)
+    both = np.concatenate([first.truth(moved, arcs), shape(first.orientations, arm("pcc"), arcs)], axis=-1)
     names = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
-    for mode in dict.fromkeys(trial.mode.tolist()):
-        samples = np.flatnonzero(trial.mode == mode)
+    for mode in dict.fromkeys(first.mode.tolist()):
+        samples = np.flatnonzero(first.mode == mode)
         k = samples[len(samples) // 4]
-        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=trial.time_s[k])
-        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=own["q75_mm"].to_numpy()))
+        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=first.time_s[k])
+        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=radius))
     return pd.concat(parts, ignore_index=True)
 
 

@@ -512,13 +512,6 @@ def farthest_apart(
     return {"rigid-body": rigid[k], "PCC-extended": extended[k]}, np.vstack([np.zeros(3), there])
 
 
-def hull_here(found: Recording | None, trials: Sequence[Trial]) -> pd.DataFrame:
-    """Return the arm in some poses with the third quartile of the error as radius: Fig. 6."""
-    if found:
-        return hull(found)
-    return martin.hull(martin.motion(), trials[0], martin.errors_along(martin.motion(), trials))
-
-
 def card(table: pd.DataFrame, study: pd.DataFrame, both: pd.DataFrame | None) -> pd.DataFrame:
     """Return the rows of the scorecard; without the recording, our best is that of the synthetic study."""
     if both is None:

@@ -303,13 +303,6 @@ def error_rows(
     ]
 
 
-def fast_tip(readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], above: float = 0.5) -> float:
-    """Return the error of the tip [mm] where it moves faster than so many m/s; NaN where it never does."""
-    (t, T), (error, _) = readings.truth[-1], parts[-1]
-    fast = np.linalg.norm(np.gradient(T[:, :3, 3], t, axis=0), axis=1) > above
-    return 1e3 * float(np.sqrt((error[fast] ** 2).sum(-1).mean())) if fast.any() else math.nan
-
-
 def scores(parts: Sequence[tuple[np.ndarray, np.ndarray]], added: float = 0.0) -> np.ndarray:
     """Return squared errors in units of their covariance, all stations one after the other.
 
@@ -492,8 +485,8 @@ def floors_in_words(floors: pd.DataFrame) -> str:
     share = 100 * arcs["one arc"] / (1e3 * LENGTH)
     return (
         f"**An arc is {span(arcs['one arc'])} mm wrong on this arm**, or {span(share)} % of its length, although"
-        f" it knows where the tip is. Two arcs are {span(arcs['two arcs'])} mm wrong. Here are root mean square distances"
-        " at the bodies that the fit did not see, in three trials."
+        f" it knows where the tip is. Two arcs are {span(arcs['two arcs'])} mm wrong. Here are root mean square"
+        " distances at the bodies that the fit did not see, in three trials."
     )
 
 
@@ -503,12 +496,12 @@ def by_trial(table: pd.DataFrame, rows: list[str], value: str) -> pd.DataFrame:
     return wide.rename(columns=lambda name: f"{WORDS.get(name, name)} [mm]").reset_index()
 
 
-def rows_of(readings: Capture, setting: str, model: str, found: dict[str, list]) -> list[dict]:
-    """Return the errors at every station of what estimators found, and of the tip where it is fast."""
+def rows_of(name: str, setting: str, model: str, found: dict[str, list]) -> list[dict]:
+    """Return the errors at every station of what the estimators found."""
     return [
-        row | {"model": model, "fast_tip_mm": fast_tip(readings, part)}
+        row | {"model": model}
         for estimator, part in found.items()
-        for row in error_rows(readings.name, setting, estimator, [error for error, _ in part])
+        for row in error_rows(name, setting, estimator, [error for error, _ in part])
     ]
 
 
@@ -538,7 +531,7 @@ def all_errors(
         error = released(captures[name], estimator, settings[setting])
         if error is not None:
             rows += error_rows(name, setting, f"released {estimator}", error)
-    return pd.concat([ours.drop(columns=["model", "fast_tip_mm"]), pd.DataFrame(rows)], ignore_index=True)
+    return pd.concat([ours.drop(columns="model"), pd.DataFrame(rows)], ignore_index=True)
 
 
 def compared_in_words(errors: pd.Series) -> str:
