@@ -26,6 +26,12 @@ HIDDEN = {"parameters", "remove-input", "hide-input"}
 DIRECTIVE = re.compile(r"^(`{3,}|:{3,})\{(?:dropdown|figure)\}.*?^\1\s*$", re.DOTALL | re.MULTILINE)
 
 
+def hidden(cell: dict) -> bool:
+    """Whether a reader never sees the code of a cell at once; a solution is folded, and counts as shown."""
+    tags = set(cell["metadata"].get("tags", []))
+    return bool(HIDDEN & tags) and "solution" not in tags
+
+
 def sources(page: str, kind: str) -> list[str]:
     """Return the cells of one kind."""
     return ["".join(cell["source"]) for cell in PAGES[page] if cell["cell_type"] == kind]
@@ -35,13 +41,12 @@ def sources(page: str, kind: str) -> list[str]:
 def test_a_page_is_short(page):
     """CONTRIBUTING says so: 12 cells, 110 statements, 88 columns where a reader sees the code, 1,000 words."""
     code = sources(page, "code")
-    assert len(code) <= 13, "12 and the parameters"
+    exercise = any("solution" in cell["metadata"].get("tags", []) for cell in PAGES[page])
+    assert len(code) <= 13 + 2 * exercise, "12 and the parameters, two more with an exercise"
     nodes = [node for cell in code for node in ast.walk(ast.parse(cell))]
     assert sum(isinstance(node, ast.stmt) for node in nodes) <= 110
     shown = [
-        "".join(cell["source"])
-        for cell in PAGES[page]
-        if cell["cell_type"] == "code" and not HIDDEN & set(cell["metadata"].get("tags", []))
+        "".join(cell["source"]) for cell in PAGES[page] if cell["cell_type"] == "code" and not hidden(cell)
     ]
     assert max(len(line) for cell in shown for line in cell.splitlines()) <= 88
     text = NO_PROSE.sub(" ", DIRECTIVE.sub(" ", "\n".join(sources(page, "markdown"))))

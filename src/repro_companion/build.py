@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import fcntl
+import html
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from types import CodeType
 
 import pandas as pd
 
@@ -172,7 +174,8 @@ def page_of(executed: Record, root: Path, name: str) -> Record:
     """Return an executed notebook, as JSON holds it, as the page shows it; called when Sphinx reads it."""
     place = root / "book" / "notebooks" / f"{name}.ipynb"
     record = tool.read_record(place)
-    cells, first = [], []
+    parameters = tool.declared(place)
+    cells, first, unseen = [], [], set(parameters)
     for cell in executed["cells"]:
         about = dict(cell["metadata"])
         tags = set(about.get("tags", []))
@@ -196,8 +199,11 @@ def page_of(executed: Record, root: Path, name: str) -> Record:
         )
         if hidden or silent:
             about["tags"] = sorted(tags | {"remove-cell"})
+        if cell["cell_type"] == "code" and not tags & UNREAD:
+            used = unseen & names_in("".join(cell["source"]))
+            cells += [_values(parameters, record, used, cell["id"])] if used else []
+            unseen -= used
         cells.append(cell)
-    parameters = tool.declared(place)
     texts = record and (
         _numbers(record, root, name),
         _parameters(parameters, record, name),
@@ -213,14 +219,38 @@ def page_of(executed: Record, root: Path, name: str) -> Record:
     return {**executed, "cells": [*cells[:1], *first, *claims, *cells[1:], *folds]}
 
 
+UNREAD = {"parameters", "injected-parameters", "remove-input", "remove-cell", "hide-input"}
+"""Tags of cells whose code a reader does not see at once."""
+
+
+def names_in(source: str) -> set[str]:
+    """Return the names that code looks up outside of its functions."""
+    codes = [compile(source, "cell", "exec")]
+    for code in codes:
+        codes += [part for part in code.co_consts if isinstance(part, CodeType)]
+    return {name for code in codes for name in code.co_names}
+
+
+def _values(parameters: Mapping[str, Parameter], record: Record | None, used: set[str], owner: str) -> Record:
+    """Return a grey line with the values of the parameters that a cell is the first to use."""
+    run_with = record["parameters"] if record else {}
+    values = [
+        f"{name} = {run_with[name]!r}" if name in run_with else f"{name} = {one.default}"
+        for name, one in parameters.items()
+        if name in used
+    ]
+    line = f'<p class="parameter-values">Parameters: <code>{html.escape(", ".join(values))}</code></p>'
+    return {"cell_type": "markdown", "id": f"values-{owner}", "metadata": {}, "source": line}
+
+
 def _numbers(record: Record, root: Path, name: str) -> str:
     """Return the fold with all tables of a page, each with its file."""
     results, page, tables = results_folder(root), root / "book" / "notebooks", []
     for file in record["results"]:
         table = pd.read_csv(results / file, keep_default_na=False, na_values=[""])
         open_ = len(table) <= LONGEST and not file.endswith(".rows.csv")
-        html = re.sub(r"\n\s*\n", "\n", show(table).to_html()) if open_ else ""
-        tables.append((file, os.path.relpath(results / file, page), len(table), html))
+        shown = re.sub(r"\n\s*\n", "\n", show(table).to_html()) if open_ else ""
+        tables.append((file, os.path.relpath(results / file, page), len(table), shown))
     return rendered("fold_numbers.md", tables=tables) if tables else ""
 
 

@@ -999,6 +999,18 @@ def links_of_models(chains: dict[str, np.ndarray], arm: np.ndarray, links: int) 
     return with_legend(figure, panels[0], columns=2)
 
 
+@style()
+def errors_at_markers(choices: Mapping[Sequence[int], np.ndarray], marked: np.ndarray) -> Figure:
+    """Draw median errors at both markers [mm] of choices of IMUs, and of one other."""
+    figure, (panel,) = row_of_panels(1, 3.2, "error at M2 [mm]")
+    panel.plot(*np.transpose([*choices.values()]), "o", ms=4, label="three IMUs")
+    panel.plot(*marked, "s", color=ORANGE, ms=7, label="IMUs 2, 4, 6 and 8")
+    best = min(choices, key=lambda imus: choices[imus][1])
+    panel.annotate(", ".join(map(str, best)), choices[best], (6, -4), textcoords="offset points")
+    panel.set(xlabel="error at M1 [mm]", xlim=(0, None), ylim=(0, None))
+    return with_legend(figure)
+
+
 # A real arm
 
 ARM_LOOKS = {

@@ -37,6 +37,7 @@ def rendered(template: str, **values: object) -> str:
 
 
 _TEMPLATES.filters["fixed"] = lambda value, digits: f"{value:.{digits}f}"
+_TEMPLATES.filters["percent_less"] = lambda value: f"{abs(value):.0f} % {'less' if value > 0 else 'more'}"
 
 
 def sentences(template: str, **values: object) -> str:
@@ -113,6 +114,7 @@ def number(value: object, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
+_TEMPLATES.filters["two"] = lambda value: number(value, 2)
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

@@ -196,7 +196,9 @@ def test_what_a_page_shows(root):
     assert first["metadata"]["mystnb"]["figure"] == {"name": "fig-a", "caption": "what is"}
     assert all(not cell.get("outputs") for cell in body)
     hidden = ["remove-cell" in cell["metadata"].get("tags", []) for cell in body]
-    assert hidden == [True, True, False, False]
+    assert hidden == [True, True, *[False] * (len(body) - 2)]
+    (values,) = (cell["source"] for cell in body if cell["id"].startswith("values-"))
+    assert "<code>noise_mt = 0.0, seeds = [0, 1]</code>" in values, "where a reader first sees the names"
     folds = [cell["source"] for cell in cells[-3:]]
     assert [fold.partition("} ")[2].partition("\n")[0] for fold in folds] == [
         "All numbers",

@@ -86,7 +86,7 @@ def test_the_models_of_the_page_are_those_of_the_library(short):
         "cells"
     ]
     (source,) = ("".join(cell["source"]) for cell in cells if "def rigid_links" in "".join(cell["source"]))
-    shown = source[source.index("def rigid_links") : source.index("rigid = rigid_links")]
+    shown = source[source.index("def rigid_links") : source.index("base, *imus")]
     page = {"np": np, "Rotation": Rotation, "pairwise": pairwise}
     exec(shown, page)
     imus = [Rotation.from_quat(short.orientations[:, k]) for k in range(9)]
@@ -124,9 +124,9 @@ def test_perfect_sensors_and_cameras_see_the_arm(moved):
         np.median(off) < 1.6
     )  # noise of 1 mm along each axis, interpolated; a lag of 10 ms would add 1 mm and more
     assert np.median(martin.distances(seen, martin.arm("pcc"))) < 6
-    along = martin.errors_along(moved, [seen], 64).query("mode == 'all' and arc_mm == 600").set_index("model")
-    assert along.loc[martin.PCC_16, "median_mm"] < along.loc["IMUs at mid-section", "median_mm"]
-    assert along.loc["IMUs at mid-section", "median_mm"] < along.loc[martin.RIGID_8, "median_mm"] / 3
+    arms = martin.arm("pcc"), martin.mid_section(), martin.arm("rigid")
+    pcc, middle, ends = (np.median(martin.distances(seen, made)[:, 1]) for made in arms)
+    assert pcc < middle < ends / 3
 
 
 def test_errors_of_the_sensors_have_their_sizes(moved):
@@ -171,11 +171,13 @@ def test_lag_of_a_bump(lag_s):
 
 
 def test_hull_is_the_third_quartile_around_the_arm(moved, short):
-    along = martin.errors_along(moved, [short], 4)
-    found = martin.hull(moved, short, along)
+    found = martin.hull(moved, [short, short], 4)
     assert list(found["mode"].unique()) == ["oscillating", "buckling", "circling"]
-    own = along[(along["model"] == martin.PCC_16) & (along["mode"] == "all")]
-    np.testing.assert_array_equal(found["radius_mm"], np.tile(own["q75_mm"], 3))
+    tip = martin.shape(short.orientations[::4], martin.arm("pcc"), 0.64) - short.truth(moved, [0.64], 4)
+    radius = found.loc[found["arc_mm"] == 640, "radius_mm"]
+    np.testing.assert_allclose(
+        radius, 1e3 * np.percentile(np.linalg.norm(tip, axis=-1)[[*range(len(tip))] * 2], 75)
+    )
     there = short.truth(moved, [0.64])[np.isin(short.time_s, found["time_s"].unique()), 0]
     np.testing.assert_allclose(found.loc[found["arc_mm"] == 640, ["x_mm", "y_mm", "z_mm"]], 1e3 * there)
 
@@ -223,14 +225,18 @@ def test_markers_are_three_four_five_and_have_the_quantiles_of_their_names(short
     )
 
 
-def test_models_differ_by_a_mean_of_differences(monkeypatch):
-    """Two draws: 2 and 4 mm for 4 and 5 mm are a half and a fifth less; the middle of the links has 2 and 8 mm."""
-    ways, cases = (martin.DESCRIBED, martin.FILES, martin.SAME_POINT), (martin.RIGID_8, martin.PCC_16)
-    table = pd.DataFrame(list(product(ways, cases, (0, 1))), columns=["evaluation", "case", "draw"])
-    table = table.assign(marker="M1", median_mm=[4.0, 5.0, 2.0, 4.0] * 3)
-    monkeypatch.setattr(martin, "distances", lambda trial, made: np.outer([trial, trial, 9 * trial], [1, 0]))
-    found = martin.model_differences(table, [2.0, 8.0]).iloc[:, 1:]
-    np.testing.assert_allclose(found, [[4.5, 3, 35], [5, 3, 25], [4.5, 3, 35], [4.5, 3, 35]])
+def test_chains_beside_what_table_ii_prints(table):
+    """13.3 and 11.8 % of 360 and 600 mm are 48 and 71 mm; 20 mm are 50 % less than 40, and a quarter more than 16."""
+    names = ["ends", "middle", "8 interpolated links", "16 interpolated links, files"]
+    numbers = [[9, 9, 53, 9], [9, 9, 19, 9], [40, 50, 16, 30], [9, 9, 20, 30]]
+    apart = martin.chains_at_points(dict(zip(names, numbers, strict=True)))
+    shown = martin.chains_shown(apart, martin.printed_numbers()["Table II"])
+    assert list(shown["Table II"]) == ["–", "–", "48, 71 before", "37, 55 at"]
+    words = martin.chains_in_words(apart, table)
+    assert (
+        "40 mm with 20 mm, 50 % less. At the same point it would be 16.0 mm with 20.0 mm, 25 % more." in words
+    )
+    assert "53 mm if it ends at its IMU, as in the text, and 19 mm if the IMU is in its middle." in words
 
 
 def test_rows_of_the_scorecard(table):

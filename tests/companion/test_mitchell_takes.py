@@ -458,7 +458,7 @@ def test_captures_begin_by_the_clock_of_their_header():
 def test_a_lag_is_compared_with_the_median_of_the_other_takes():
     lags = {"1": 1.0, "2": 2.0, "3": 3.0, "4": 8.0}
     takes = [replace(made_up(f"bend_{k}_try_1", 10.0), facts={"lag_s": lag_s}) for k, lag_s in lags.items()]
-    found = mitchell.taken(takes)[["lag_off_s", "peak_deg", "rest"]]
+    found = mitchell.taken(takes, [0.5] * 4)[["lag_off_s", "peak_deg", "rest"]]
     np.testing.assert_allclose(found, [[-2, 10, 0.1], [-1, 10, 0.1], [1, 10, 0.1], [6, 10, 0.1]])
 
 

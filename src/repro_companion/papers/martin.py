@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -21,7 +21,7 @@ from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
 from repro_companion.run import project_folder
-from repro_companion.show import ratio_interval, sentences
+from repro_companion.show import number, published, ratio_interval, sentences
 
 # The arm and Table I
 
@@ -313,6 +313,13 @@ FILES, DESCRIBED, SAME_POINT = "as in the files", "as described", "same point"
 """The chains of the released files where they were evaluated; text and Table I; those chains at the markers."""
 QUANTILES = {"q05_mm": 5, "q25_mm": 25, "median_mm": 50, "q75_mm": 75, "q95_mm": 95}
 KEYS = ["figure", "case", "model", "n_imus", "segments", "evaluation", "marker"]
+AT_POINTS = ["before_m1_mm", "before_m2_mm", "m1_mm", "m2_mm"]
+"""Medians of a chain 40 mm before both markers and at them."""
+IN_TABLE_II = (
+    ("8 interpolated links", "rigid-body", "before"),
+    ("16 interpolated links, files", "PCC-extended", "at"),
+)
+"""Chains of the page behind the columns of the paper, and where the files evaluate them."""
 RIGID_8, PCC_16 = "rigid-body, 8 IMUs", "PCC-extended, 8 IMUs, 16 segments"
 
 
@@ -371,20 +378,44 @@ def marker_errors(trials: Sequence[Trial], chosen: Sequence[Case]) -> pd.DataFra
     return pd.DataFrame(lines, columns=["draw", *KEYS, *QUANTILES])
 
 
-def model_differences(table: pd.DataFrame, trials: Sequence[Trial]) -> pd.DataFrame:
-    """Return median errors at M1 [mm] with eight IMUs, means over the draws, by which chains are compared."""
-    first = table[(table["marker"] == "M1") & table["case"].isin([RIGID_8, PCC_16])]
-    wide = first.pivot_table(index="draw", columns=["case", "evaluation"], values="median_mm")
-    middle = np.array([np.median(distances(trial, mid_section())[:, 0]) for trial in trials])
-    pcc, rigid = ({way: wide[name, way].to_numpy() for way in wide[name]} for name in (PCC_16, RIGID_8))
-    pairs = {
-        "text and Table I": (pcc[DESCRIBED], rigid[DESCRIBED]),
-        "the same, IMUs in the middle of their rigid links": (pcc[DESCRIBED], middle),
-        "files behind Table II": (pcc[FILES], rigid[FILES]),
-        "these files, both at the marker": (pcc[SAME_POINT], rigid[SAME_POINT]),
+def printed_numbers() -> dict[str, pd.DataFrame]:
+    """Return the printed numbers of Table II and of Figs 3 to 5."""
+    return {name: published("martin2022", name) for name in ("Table II", "Fig. 3", "Fig. 4", "Fig. 5")}
+
+
+def chains_at_points(found: Mapping[str, Sequence[float]]) -> pd.DataFrame:
+    """Return a row for each chain: median errors [mm] 40 mm before M1 and M2, and at them."""
+    table = pd.DataFrame.from_dict(found, orient="index", columns=AT_POINTS)
+    return table.rename_axis("chain").reset_index()
+
+
+def chains_shown(apart: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
+    """Return the errors of the chains [mm] with headings, beside what Table II prints of two of them."""
+    percent = printed[printed["quantity"] == "median"].set_index("row")["value"]
+    m1, m2 = (1e3 * at / 100 for at in MARKERS)
+    in_print = {
+        chain: f"{percent[f'M1 {model}'] * m1:.0f}, {percent[f'M2 {model}'] * m2:.0f} {where}"
+        for chain, model, where in IN_TABLE_II
     }
-    lines = [(chains, b.mean(), a.mean(), 100 * np.mean(1 - a / b)) for chains, (a, b) in pairs.items()]
-    return pd.DataFrame(lines, columns=["chains", "rigid_mm", "pcc_mm", "less_percent"])
+    heads = ["before M1", "before M2", "at M1", "at M2"]
+    shown = apart.rename(columns=dict(zip(AT_POINTS, heads, strict=True)))
+    return shown.assign(**{"Table II": [in_print.get(name, "–") for name in apart["chain"]]})
+
+
+def chains_in_words(apart: pd.DataFrame, table: pd.DataFrame) -> str:
+    """Return what the chains and their points do to the error, and how it goes with the number of IMUs."""
+    medians = apart.set_index("chain")
+    before, here = (medians.loc["8 interpolated links", c] for c in ("before_m1_mm", "m1_mm"))
+    ends, middle = medians["m1_mm"].iloc[:2]
+    fine = medians.loc["16 interpolated links, files", "m1_mm"]
+    boxes = table[(table["evaluation"] == FILES) & (table["figure"] != "Fig. 4")]
+    by_imus = boxes.groupby(["figure", "marker", "n_imus"])["median_mm"].mean()
+    falls = by_imus.groupby(["figure", "marker"]).diff().dropna().lt(0).all()
+    described = _rigid_medians(table)[DESCRIBED].xs("M1", level="marker")
+    sizes = ", ".join(f"{x:.0f} mm with {count} IMUs" for count, x in described.items())
+    numbers = {"before": before, "here": here, "fine": fine, "ends": ends, "middle": middle}
+    less = {"apart": 100 * (1 - fine / before), "together": 100 * (1 - fine / here)}
+    return "\n\n".join((sentences(CHAINS, **numbers, **less), sentences(BY_IMUS, falls=falls, sizes=sizes)))
 
 
 def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.DataFrame:
@@ -397,33 +428,21 @@ def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.Da
     return pd.concat(parts, ignore_index=True)
 
 
-def errors_along(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd.DataFrame:
-    """Return errors [mm] along the arm and by mode of motion, against the true points of the synthetic arm."""
-    arcs, parts = 0.04 * np.arange(1, 17), []
-    mode = np.concatenate([trial.mode[::every] for trial in trials])
-    for name, made in {
-        RIGID_8: arm("rigid"),
-        "IMUs at mid-section": mid_section(),
-        PCC_16: arm("pcc"),
-    }.items():
-        reach = arcs[arcs <= sum(made.link_lengths) + 1e-9]
-        off = [shape(x.orientations[::every], made, reach) - x.truth(moved, reach, every) for x in trials]
-        error = 1e3 * np.linalg.norm(np.concatenate(off), axis=-1)
-        parts.append(by_mode(error, mode, reach).assign(model=name))
-    return pd.concat(parts, ignore_index=True)[["model", "mode", "arc_mm", "median_mm", "q75_mm"]]
+def hull(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd.DataFrame:
+    """Return the arm in one pose of each mode, with the third quartile of the error as radius: Fig. 6.
 
-
-def hull(moved: Motion, trial: SyntheticTrial, along: pd.DataFrame) -> pd.DataFrame:
-    """Return the arm in one pose of each mode, with the third quartile of the error as radius: Fig. 6."""
-    own = along[(along["model"] == PCC_16) & (along["mode"] == "all")]
-    arcs, parts = own["arc_mm"].to_numpy() / 1e3, []
-    both = np.concatenate([trial.truth(moved, arcs), shape(trial.orientations, arm("pcc"), arcs)], axis=-1)
+    The errors are those of the PCC-extended model against the true points of the synthetic arm, in every n-th sample.
+    """
+    arcs, parts, first = 0.04 * np.arange(1, 17), [], trials[0]
+    off = [shape(x.orientations[::every], arm("pcc"), arcs) - x.truth(moved, arcs, every) for x in trials]
+    radius = np.percentile(1e3 * np.linalg.norm(np.concatenate(off), axis=-1), 75, axis=0)
+    both = np.concatenate([first.truth(moved, arcs), shape(first.orientations, arm("pcc"), arcs)], axis=-1)
     names = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
-    for mode in dict.fromkeys(trial.mode.tolist()):
-        samples = np.flatnonzero(trial.mode == mode)
+    for mode in dict.fromkeys(first.mode.tolist()):
+        samples = np.flatnonzero(first.mode == mode)
         k = samples[len(samples) // 4]
-        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=trial.time_s[k])
-        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=own["q75_mm"].to_numpy()))
+        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=first.time_s[k])
+        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=radius))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -570,25 +589,21 @@ def _rigid_medians(table: pd.DataFrame) -> pd.Series:
     return table[table["model"] == "rigid"].groupby(["evaluation", "n_imus", "marker"])["median_mm"].mean()
 
 
-WHAT_TO_SEE = """
-**What to see.** All errors below are of a *synthetic* arm with assumed sensors, so they cannot confirm or refute the
-paper's. We evaluate the models at the points that the authors' files use.
-{% if falls %}
-Then our errors fall with the number of IMUs, as the published ones do.
-{% endif %}
-With the rigid links of the text it is otherwise. At M1 their error is {{ sizes }}. With eight IMUs the links end at
-their IMUs, and with fewer the IMUs sit in the middle.
+CHAINS = """
+Median errors in mm, 40 mm *before* each marker and *at* it. The columns of Table II stand in the third and the last
+row, but at different points. At M1 this compares
+{{ before | fixed(0) }} mm with {{ fine | fixed(0) }} mm, {{ apart | percent_less }}. At the same point it would be
+{{ here | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ together | percent_less }}. The paper states about 25 %
+less. Where a *rigid* link sits matters more: {{ ends | fixed(0) }} mm if it ends at its IMU, as in the text, and
+{{ middle | fixed(0) }} mm if the IMU is in its middle.
 """
-
-
-def errors_in_words(table: pd.DataFrame) -> str:
-    """Return what to see in Table II of the synthetic arm."""
-    boxes = table[(table["evaluation"] == FILES) & (table["figure"] != "Fig. 4")]
-    medians = boxes.groupby(["figure", "marker", "n_imus"])["median_mm"].mean()
-    falls = medians.groupby(["figure", "marker"]).diff().dropna().lt(0).all()
-    described = _rigid_medians(table)[DESCRIBED].xs("M1", level="marker")
-    sizes = ", ".join(f"{x:.0f} mm with {count} IMUs" for count, x in described.items())
-    return sentences(WHAT_TO_SEE, falls=falls, sizes=sizes)
+BY_IMUS = """
+{% if falls %}
+At the points of the files the errors fall with the number of IMUs, as the published ones do in Figs 3 and 5.
+{% endif %}
+With the rigid links of the text the error at M1 is {{ sizes }}. With eight IMUs the links end at their IMUs, and with
+fewer the IMUs sit in the middle.
+"""
 
 
 # Beyond the paper: calibrated on the first minute
@@ -624,3 +639,25 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
         ratio = {"ratio": ours.mean() / base.mean(), "ratio_low": low, "ratio_high": high, "draws": len(ours)}
         lines.append({"method": method, "mode": mode, "point": point, "median_mm": ours.mean()} | ratio)
     return pd.DataFrame(lines)
+
+
+CALIBRATED = """
+{% if synthetic %}
+**{{ own }}** Our synthetic sensors err in the ways that the fit knows. Expect less gain on a real arm.
+{% else %}
+The cell above has the medians of the authors' trial. *Not calibrated* has no frame fitted either. The table of
+both evaluations says what the frame alone gives. On the synthetic arm it is so: {{ own }}
+{% endif %}
+"""
+
+
+def calibration_in_words(ratios: pd.DataFrame, parameters: int, synthetic: bool) -> str:
+    """Return how much the calibration gains on the synthetic arm, and what that says of the arm of the page."""
+    own = ratios[(ratios["mode"] == "all") & (ratios["point"] == "markers")].set_index("method")
+    median_mm = {name: f"{number(x, 2)} mm" for name, x in own["median_mm"].items()}
+    words = (
+        f"Over both markers and {own['draws'].max()} synthetic draws the median error falls from"
+        f" {median_mm[BASELINE]} to {median_mm[BEST]}, with {parameters} parameters: six of the"
+        f" frame, and three of each IMU. The frame alone brings it to {median_mm['exact arcs + frame']}."
+    )
+    return sentences(CALIBRATED, own=words, synthetic=synthetic)

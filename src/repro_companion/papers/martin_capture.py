@@ -471,3 +471,64 @@ CHECKED = (
     "The authors' notebook prints two errors without rounding, the third quartiles of `pcc1.csv` at M1 and M2. They"
     " are the 17.7 and 16.25 % of the rigid-body model in Table II."
 )
+
+
+# What the page shows in both states
+
+
+def caption(figure: str, found: Recording | None) -> dict[str, str]:
+    """Return the metadata of a figure: its caption where it shows the recording."""
+    return {"caption": CAPTIONS[figure]} if found else {}
+
+
+def all_errors(
+    found: Recording | None, trials: Sequence[Trial], imus: Sequence[int], segments: Sequence[int]
+) -> pd.DataFrame:
+    """Return quantiles of the markers' errors [mm]: of the authors' tables, or of synthetic trials."""
+    if found:
+        return marker_errors(found, martin.cases(imus, sorted({*segments, 48})))
+    return martin.marker_errors(trials, martin.cases(imus, segments))
+
+
+def around_table_ii(found: Recording | None, table: pd.DataFrame) -> tuple[str, str]:
+    """Return what stands over and under Table II."""
+    if found:
+        return badge(), BELOW_TABLE_II
+    return "synthetic trial against hardware: not comparable", martin.below_table_ii(table)
+
+
+def farthest_apart(
+    found: Recording | None, trial: Trial, rigid: np.ndarray, extended: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the joints of both models and the arm with its base [m], where the models' ends are farthest apart."""
+    seen = np.isfinite(trial.points[:, :2]).all(axis=(1, 2))
+    k = int((seen * np.linalg.norm(extended[:, -1] - rigid[:, -1], axis=-1)).argmax())
+    arcs = 0.04 * np.arange(1, 17)
+    if found:
+        there = through_markers(trial, k, arcs)
+    else:
+        moment = trial.time_s[[k]] - martin.LATENCY_S  # of what the IMUs show
+        there = martin.motion().points(moment, arcs)[0]
+    return {"rigid-body": rigid[k], "PCC-extended": extended[k]}, np.vstack([np.zeros(3), there])
+
+
+def card(table: pd.DataFrame, study: pd.DataFrame, both: pd.DataFrame | None) -> pd.DataFrame:
+    """Return the rows of the scorecard; without the recording, our best is that of the synthetic study."""
+    if both is None:
+        return martin.scorecard_rows(table, martin.best_errors(study))
+    return scorecard_rows(table, both)
+
+
+WRITTEN = (
+    "We wrote this evaluation from the text of their notebook, without a motion capture to try it on. So the page"
+    " checks itself."
+)
+
+
+def files_on_the_page(found: Recording | None, files: pd.DataFrame) -> str:
+    """Return which files are here, how to get them, and how well our chains give the released tables."""
+    here, tables = martin_files.files_in_words(), martin_files.tables_in_words(files)
+    if found:
+        return f"{evaluated_in_words(found)} {here}\n\n{tables}"
+    fetch = f"{here} These commands get them and build the page:\n\n{martin_files.FETCH}"
+    return f"{fetch}\n\n{WRITTEN} {CHECKED}\n\n{tables}"

@@ -365,6 +365,10 @@ def tables_compared(synthetic: Trial) -> pd.DataFrame:
     return compared(tables, trial_orientations(tables), source)
 
 
+HEADS = {"file": "table", "rows": "rows", "median_um": "median [µm]", "largest_um": "largest [µm]"}
+"""Of the distances between tables and chains, as a reader sees them."""
+
+
 def tables_in_words(files: pd.DataFrame) -> str:
     """Return how well our chains give the released tables: those that are here, or those that were here once."""
     recorded = (files["source"] == "recorded").all()

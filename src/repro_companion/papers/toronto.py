@@ -28,7 +28,7 @@ from repro.estimators.imu import ShapeModel
 from repro.estimators.kalman import smoothed
 from repro.estimators.rod import RodFilter
 from repro_companion.run import digest, project_folder, recordings_folder
-from repro_companion.show import number
+from repro_companion.show import number, sentences
 
 LENGTH = 0.466
 STATIONS = (0.1165, 0.233, 0.3495, 0.466)
@@ -303,13 +303,6 @@ def error_rows(
     ]
 
 
-def fast_tip(readings: Capture, parts: Sequence[tuple[np.ndarray, np.ndarray]], above: float = 0.5) -> float:
-    """Return the error of the tip [mm] where it moves faster than so many m/s; NaN where it never does."""
-    (t, T), (error, _) = readings.truth[-1], parts[-1]
-    fast = np.linalg.norm(np.gradient(T[:, :3, 3], t, axis=0), axis=1) > above
-    return 1e3 * float(np.sqrt((error[fast] ** 2).sum(-1).mean())) if fast.any() else math.nan
-
-
 def scores(parts: Sequence[tuple[np.ndarray, np.ndarray]], added: float = 0.0) -> np.ndarray:
     """Return squared errors in units of their covariance, all stations one after the other.
 
@@ -343,19 +336,6 @@ def coverage(found: dict[str, list[tuple[np.ndarray, np.ndarray]]], level: float
                 | {"covered_percent": 100 * covered.mean(), "shortest_mm": axes[0], "longest_mm": axes[-1]}
             )
     return pd.DataFrame(lines)
-
-
-def coverage_in_words(table: pd.DataFrame) -> str:
-    """Return how large ellipsoids are and how often they cover the truth, in some lines of a table of coverage."""
-    smallest, largest = (number(x, 1) for x in (table["shortest_mm"].min(), table["longest_mm"].max()))
-    covered, share = (
-        np.average(table["covered_percent"], weights=table["positions"]),
-        table["covered_percent"],
-    )
-    return (
-        f"ellipsoids with semi-axes of {smallest} to {largest} mm cover {covered:.0f} % of the positions"
-        f" ({share.min():.0f} to {share.max():.0f} % by trial and estimator)"
-    )
 
 
 # Models of the shape, fitted to the motion capture itself
@@ -486,3 +466,126 @@ def still(
         for arc, x in zip(STATIONS, line, strict=True)
     ]
     return pd.DataFrame(points).assign(time_s=common[k])
+
+
+# What the page shows
+
+WORDS = {"slow_free_space": "slow, untouched", "impulse_1": "hit", "fast_contact": "shaken"}
+"""Trials as a reader sees them."""
+
+
+def span(values: pd.Series, digits: int = 0) -> str:
+    """Return the smallest and the largest value, once if they read the same."""
+    return " to ".join(dict.fromkeys(f"{x:.{digits}f}" for x in (values.min(), values.max())))
+
+
+def floors_in_words(floors: pd.DataFrame) -> str:
+    """Return how wrong one and two arcs are that know the pose of the tip."""
+    arcs = floors[floors["given"] == "tip"].set_index("model")["error_mm"]
+    share = 100 * arcs["one arc"] / (1e3 * LENGTH)
+    return (
+        f"**An arc is {span(arcs['one arc'])} mm wrong on this arm**, or {span(share)} % of its length, although"
+        f" it knows where the tip is. Two arcs are {span(arcs['two arcs'])} mm wrong. Here are root mean square"
+        " distances at the bodies that the fit did not see, in three trials."
+    )
+
+
+def by_trial(table: pd.DataFrame, rows: list[str], value: str) -> pd.DataFrame:
+    """Return a table of errors [mm] with a column for each trial, rows and columns in their order."""
+    wide = table.pivot_table(value, rows, "trial", sort=False)[list(table["trial"].unique())]
+    return wide.rename(columns=lambda name: f"{WORDS.get(name, name)} [mm]").reset_index()
+
+
+def rows_of(name: str, setting: str, model: str, found: dict[str, list]) -> list[dict]:
+    """Return the errors at every station of what the estimators found."""
+    return [
+        row | {"model": model}
+        for estimator, part in found.items()
+        for row in error_rows(name, setting, estimator, [error for error, _ in part])
+    ]
+
+
+def choice_in_words(trackers: pd.DataFrame, slow: pd.Series, choice: pd.DataFrame) -> str:
+    """Return how wrong the tip's tracker is, what the slow trial chooses, and where another model is better."""
+    tip = trackers.query("setting == 'calibrated' and tracker == 'tip'").set_index("part")["rms"]
+    kept = str(slow.idxmin())
+    others = " and ".join(f"*{model}* has {slow[model]:.1f} mm" for model in ERROR_MODELS if model != kept)
+    smoother = choice[choice["estimator"] == "smoother"].set_index(["model", "setting", "trial"])["rmse_mm"]
+    lower = smoother["inflated"] < smoother["white"]
+    return (
+        f"After calibration the tip's tracker is wrong by {tip['position_mm']:.1f} mm and"
+        f" {tip['rotation_deg']:.1f}° along and about each axis. The slow trial chooses *{kept}* with"
+        f" {slow[kept]:.1f} mm, and {others}. With *inflated* our smoother would have a smaller error than with"
+        f" *white* in {lower.sum()} of {lower.size} cases (raw or calibrated, by trial)."
+        f" {'But our' if kept == 'white' else 'Our'} rule averages filter and smoother and uses the slow trial only,"
+        f" so we keep *{kept}*."
+    )
+
+
+def all_errors(
+    ours: pd.DataFrame, captures: dict[str, Capture], settings: dict[str, np.ndarray]
+) -> pd.DataFrame:
+    """Return our errors at every station, then those of the released program."""
+    rows = []
+    for setting, estimator, name in product(settings, ("filter", "window", "batch"), captures):
+        error = released(captures[name], estimator, settings[setting])
+        if error is not None:
+            rows += error_rows(name, setting, f"released {estimator}", error)
+    return pd.concat([ours.drop(columns="model"), pd.DataFrame(rows)], ignore_index=True)
+
+
+def compared_in_words(errors: pd.Series) -> str:
+    """Return our errors beside those of the released window when something touches the arm."""
+    sizes = [
+        f"{errors[name, setting, 'smoother']:.0f} and {errors[name, setting, 'released window']:.0f} mm"
+        for setting, name in product(("raw", "calibrated"), SAME)
+    ]
+    return sentences(COMPARED, sizes=sizes)
+
+
+COMPARED = """
+Errors of our smoother and of the sliding window of the authors: on raw readings {{ sizes[0] }} when the arm is hit
+and {{ sizes[1] }} when it is shaken, on calibrated readings {{ sizes[2] }} and {{ sizes[3] }}.
+"""
+
+
+SURE = """
+**How sure can one be?** With calibrated trackers our smoother is off by {{ off }} mm along the arm in the trials that
+had no part in its settings, and by {{ slow }} mm in the slow trial, on which we chose them. Its ellipsoids and the
+filter's should cover {{ level }} % of the positions. As stated, they have semi-axes of {{ stated.axes }} mm and cover
+{{ stated.covered }}. Widened by {{ added }} mm, they have semi-axes of {{ widened.axes }} mm and cover
+{{ widened.covered }} in the other trials.
+"""
+
+
+def sure_in_words(errors: pd.Series, bands: pd.DataFrame, kept: str, level: float) -> str:
+    """Return how large our errors are, and the size of the regions that cover the truth as often as they say."""
+    smoother = errors.xs("smoother", level="estimator").xs("calibrated", level="setting")
+    own = bands[bands["model"] == kept]
+    widened = own[own["ellipsoids"] == "widened"]
+    return sentences(
+        SURE,
+        off=span(smoother.drop(CHOOSING)),
+        slow=f"{smoother[CHOOSING]:.0f}",
+        level=f"{100 * level:.0f}",
+        added=span(widened["added_mm"], 1),
+        stated=region(own[own["ellipsoids"] == "as stated"]),
+        widened=region(widened[widened["trial"] != CHOOSING]),
+    )
+
+
+def region(bands: pd.DataFrame) -> dict[str, str]:
+    """Return from where to where semi-axes go, and how often their ellipsoids cover the truth, with the extremes."""
+    covered = np.average(bands["covered_percent"], weights=bands["positions"])
+    axes = " to ".join(number(x, 1) for x in (bands["shortest_mm"].min(), bands["longest_mm"].max()))
+    return {"axes": axes, "covered": f"{covered:.0f} % ({span(bands['covered_percent'])} %)"}
+
+
+def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:
+    """Return for each estimator how often its ellipsoids cover the truth in every trial, and their semi-axes."""
+    keys = ["ellipsoids", "estimator"]
+    axes = bands.groupby(keys, sort=False)[["shortest_mm", "longest_mm"]].median()
+    covered = bands.pivot_table("covered_percent", keys, "trial", sort=False)
+    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, name)} [%]")
+    heads = {"shortest_mm": "shortest [mm]", "longest_mm": "longest [mm]"}
+    return covered.join(axes.rename(columns=heads)).reset_index()
