@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,6 @@ def some(words: Sequence[object], most: int = 5) -> str:
     return ", ".join(map(str, words[:most])) + rest
 
 
-@cache
 def suspicions(shape: Trajectory) -> list[str]:
     """Say in sentences which sensors do not fit the others, and what else the monitor found."""
     if shape.status is None or shape.suspects is None:
