@@ -1136,7 +1136,7 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
     return with_legend(figure, upper, columns=2)
 
 
-# Filtering over time, and closing the loop
+# Closing the loop
 
 
 @style()
