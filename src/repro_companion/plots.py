@@ -1180,7 +1180,8 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     """Draw mean tip errors [mm] by trajectory and method with their intervals: filled if calibrated, else open."""
     names = list(means["trajectory"].unique())
     figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
-    for k, (method, (colour, marker)) in enumerate(SEGMENT_LOOKS.items()):
+    looks = {method: look for method, look in SEGMENT_LOOKS.items() if method in set(means["method"])}
+    for k, (method, (colour, marker)) in enumerate(looks.items()):
         for calibrated, part in means[means["method"] == method].groupby("calibrated"):
             at = np.arange(len(names)) + 0.16 * (k - 2) + (0.0 if calibrated else 0.05)
             part = part.set_index("trajectory").loc[names]
@@ -1200,7 +1201,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
         Line2D([], [], label="calibrated", **grey),
         Line2D([], [], mfc="none", label="not calibrated", **grey),
     ]
-    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
+    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in looks.items()]
     return with_legend(figure, [*handles, *more], columns=2)
 
 
