@@ -53,8 +53,7 @@ def test_numbers_of_the_pages_by_hand(found, expected):
 
 def test_a_chip_is_named_only_if_no_other_is():
     suspects = np.array([[0, 0], [0, 1], [0, 1], [1, 1]], dtype=bool)
-    found = SimpleNamespace(times=np.arange(4.0), suspects=suspects)
-    said = emulated.failing_in_words(found, STD, chip=2, fails_at_s=0.5)
+    said = emulated.failing_in_words(np.arange(4.0), suspects, STD, chip=2, fails_at_s=0.5)
     assert "in 67 % of the rows" in said
     assert "grows from 1.0 to 2.0 mm" in said
 

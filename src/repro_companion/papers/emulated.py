@@ -61,10 +61,12 @@ estimate goes on without the readings that do not fit. The ± that it states for
 """
 
 
-def failing_in_words(found: Trajectory, std: np.ndarray, chip: int, fails_at_s: float) -> str:
+def failing_in_words(
+    times: np.ndarray, suspects: np.ndarray, std: np.ndarray, chip: int, fails_at_s: float
+) -> str:
     """Return how often the monitor names the chip that fails, and what that does to the stated ± [mm]."""
-    after, suspects = found.times > fails_at_s, found.suspects[found.times > fails_at_s]
-    named = suspects[:, chip - 1] & (suspects.sum(axis=1) == 1)
+    after = times > fails_at_s
+    named = suspects[after, chip - 1] & (suspects[after].sum(axis=1) == 1)
     low, high = (np.median(std[rows]) for rows in (~after, after))
     return sentences(FAILING, named=100 * named.mean(), low=low, high=high)
 

@@ -65,8 +65,8 @@ def draw(seed: int, minutes: float = MINUTES, size: float = 1.0) -> Run:
     arm, times = robot(), np.arange(round(60 * minutes * RATE_HZ)) / RATE_HZ
     q, errors = motion(times, of_motion), size * drift(len(times), of_drift)
     moment, gain, offset, heading, tilt = np.split(errors, [1, 10, 19, 22], axis=1)
-    u, axes = simulated_readings(arm, q), arm.poses(q, [sensor.place for sensor in arm.sensors])[..., :3, 2]
-    hall = (1 + gain) * ((1 + moment) * u[:, :9] + axes @ EARTH) + offset
+    u = simulated_readings(arm, q)
+    hall = (1 + gain) * ((1 + moment) * u[:, :9] + earth_readings(arm, q)) + offset
     hall += baaij.NOISE_MT * of_hall.standard_normal(hall.shape)
 
     each = (len(times), 3, 3)
@@ -77,6 +77,11 @@ def draw(seed: int, minutes: float = MINUTES, size: float = 1.0) -> Run:
     noisy, turned, leant, true = (Rotation.from_rotvec(x.reshape(-1, 3)) for x in turns)
     imus = (noisy * turned * leant * true).as_rotvec().reshape(-1, 9)
     return Run(*(x[::EVERY] for x in (times, q, np.hstack([hall, imus]), errors)))
+
+
+def earth_readings(arm: Robot, q: np.ndarray) -> np.ndarray:
+    """Return what the Hall sensors read of the Earth ``[t, 9]`` [mT]."""
+    return arm.poses(q, [sensor.place for sensor in arm.sensors])[..., :3, 2] @ EARTH
 
 
 def motion(times: np.ndarray, generator: np.random.Generator) -> np.ndarray:
