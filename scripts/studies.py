@@ -594,21 +594,23 @@ def drift_by_minute(seed: int) -> pd.DataFrame:
         "fused": {},
     }
     kalman, start = wandering.kalman_filter([]), wandering.START
-    found = {
-        name: track(kalman, run.readings, start, times=run.times, monitor=None, **options)
-        for name, options in plain.items()
-    }
-    found["self-calibrating"] = wandering.follow(wandering.kalman_filter(wandering.drifts()), run)
     # To know the drift is to have sensors without it.
     undrifted = wandering.draw(seed, size=0.0)
-    found["oracle"] = wandering.follow(wandering.kalman_filter([wandering.SWAYING]), undrifted)
+    ways = {name: (kalman, run, options) for name, options in plain.items()} | {
+        "self-calibrating": (wandering.kalman_filter(wandering.drifts()), run, {}),
+        "oracle": (wandering.kalman_filter([wandering.SWAYING]), undrifted, {}),
+    }
+    found = {
+        name: track(method, one.readings, start, times=one.times, monitor=None, **options)
+        for name, (method, one, options) in ways.items()
+    }
     parts = [wandering.by_minute(run, x).assign(method=name) for name, x in found.items()]
     table = pd.concat(parts, ignore_index=True).assign(twin=seed)
     return table.reindex(columns=["twin", "method", *table.columns[:-2]])
 
 
 def drift() -> pd.DataFrame:
-    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: eight minutes.
+    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: three minutes.
 
     A run that is finished stands in runs/drift and is not computed again.
     """

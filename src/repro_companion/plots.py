@@ -1234,22 +1234,7 @@ def imus_and_errors(table: pd.DataFrame) -> Figure:
     return with_legend(figure, upper, columns=2)
 
 
-# Filtering over time, and closing the loop
-
-
-@style()
-def filter_over_time(table: pd.DataFrame) -> Figure:
-    """Draw the error of one bend [mm] over time with the stated band, one panel for each method."""
-    methods = list(table.groupby("method", sort=False))
-    figure, panels = column_of_panels(len(methods), 3.8, "time [s]", sharey=True)
-    for panel, (name, part), colour in zip(panels, methods, (ORANGE, BLUE), strict=True):
-        band = part["two_sigma_mm"]
-        panel.fill_between(part["time_s"], -band, band, color=colour, alpha=0.2, lw=0)
-        panel.plot(part["time_s"], part["error_mm"], lw=1, color=colour)
-        panel.set(title=name, ylabel="error [mm]", xmargin=0)
-    reach = 1.2 * table["two_sigma_mm"][table["method"] == methods[0][0]].iloc[1:].max()
-    panels[0].set_ylim(-reach, reach)
-    return figure
+# Closing the loop
 
 
 @style()
@@ -1293,7 +1278,8 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     """Draw mean tip errors [mm] by trajectory and method with their intervals: filled if calibrated, else open."""
     names = list(means["trajectory"].unique())
     figure, panel = plt.subplots(figsize=(WIDTH, 4.2))
-    for k, (method, (colour, marker)) in enumerate(SEGMENT_LOOKS.items()):
+    looks = {method: look for method, look in SEGMENT_LOOKS.items() if method in set(means["method"])}
+    for k, (method, (colour, marker)) in enumerate(looks.items()):
         for calibrated, part in means[means["method"] == method].groupby("calibrated"):
             at = np.arange(len(names)) + 0.16 * (k - 2) + (0.0 if calibrated else 0.05)
             part = part.set_index("trajectory").loc[names]
@@ -1313,7 +1299,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
         Line2D([], [], label="calibrated", **grey),
         Line2D([], [], mfc="none", label="not calibrated", **grey),
     ]
-    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in SEGMENT_LOOKS.items()]
+    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in looks.items()]
     return with_legend(figure, [*handles, *more], columns=2)
 
 
@@ -1361,21 +1347,6 @@ def drift_learnt(learnt: pd.DataFrame) -> Figure:
         panel.fill_between(time, middle - wide, middle + wide, color=GREEN, alpha=0.2, lw=0)
         panel.set(ylabel=str(name).replace(" [", "\n["))
     return with_legend(figure, panels[0], columns=2)
-
-
-@style()
-def drift_iron(rows: pd.DataFrame, iron_s: tuple[float, float]) -> Figure:
-    """Draw the error of the tip [% of the length] and twice what is stated while iron is near, and alarms below."""
-    figure, panels = column_of_panels(2, 5.0, "time [s]", sharey=True)
-    for panel, (name, part) in zip(panels, rows.groupby("method", sort=False), strict=True):
-        panel.axvspan(*iron_s, label="iron near", **SPAN)
-        panel.plot(part["time_s"], part["error_percent"], color=GREEN, label="error")
-        stated, alarms = 2 * part["stated_percent"], part.loc[part["alarm"], "time_s"]
-        panel.plot(part["time_s"], stated, ":", color="#767676", label="two stated deviations")
-        panel.plot(alarms, 0.06 + 0 * alarms, "s", color=ORANGE, ms=3, label="alarm", clip_on=False)
-        panel.set(title=name, yscale="log", ylabel="error of the tip\n[% of the length]", ylim=(0.05, 20))
-        plain_numbers(panel.yaxis)
-    return with_legend(figure, panels[0], columns=4)
 
 
 @style()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -253,3 +254,52 @@ def test_means_and_ratios_are_paired_over_the_robots():
     width = 1.96 * math.sqrt(35 / 12 / 6)
     assert means.loc["2 IMUs", "high_mm"] - 3.5 == pytest.approx(width, rel=0.1)
     assert 3.5 - means.loc["2 IMUs", "low_mm"] == pytest.approx(width, rel=0.1)
+
+
+def means_of(errors, width=0.5):
+    """Return mean errors of every method in every situation of the page, with intervals so wide on either side."""
+    keys = itertools.product(segment.MOTIONS, segment.PARTS, (True, False), segment.CONDITIONS)
+    table = pd.DataFrame(list(keys), columns=segment.KEYS)
+    tip = table["method"].map(dict(zip(segment.PARTS, errors, strict=True)))
+    return table.assign(tip_mm=tip, low_mm=tip - width, high_mm=tip + width)
+
+
+def test_two_sensors_are_named_where_their_intervals_overlap():
+    means = means_of([4.0, 9.0, 5.5, 3.0, 2.0])
+    assert segment.take(means, "true arc, calibrated") == ("ring", "ring 4.0; IMUs 5.5")
+    wide = means_of([4.0, 9.0, 5.5, 3.0, 2.0], width=1.0)
+    assert segment.take(wide, "true arc, calibrated") == ("ring or IMUs", "ring 4.0; IMUs 5.5")
+    said = segment.in_words(means, -0.5)
+    assert "build the ring (4.0 mm at the tip)" in said
+    assert "0.5 N sideways" in said
+    assert "shape of two arcs (2.0 mm, against 4.0 mm for the ring and 5.5 mm for the IMUs)" in said
+    assert segment.situations(means)["take"].iloc[:2].to_list() == ["ring", "both (two arcs)"]
+
+
+def test_a_loss_is_explained_only_where_it_gains():
+    means = means_of([4.0, 9.0, 5.5, 3.0, 2.0])
+    assert segment.missing_in_words(means) == ""
+    lost = (means["method"] == segment.TWO) & (means["condition"] == segment.FAILED)
+    means.loc[lost, "tip_mm"] = 1.5
+    assert "(1.5 mm against 2.0 mm)" in segment.missing_in_words(means)
+    ratios = pd.DataFrame({
+        "method": [segment.ONE] * 2 + [segment.TWO] * 2, "trajectory": segment.MOTIONS[1:] * 2,
+        "ratio": [1.3, 3.0, 0.5, 0.7],
+    })  # fmt: skip
+    said = segment.together_in_words(means, ratios)
+    assert "More sensors do not help" in said
+    assert "50 % of the error" in said
+    assert "as a ring with all its sensors has" not in said
+    means.loc[lost, "tip_mm"] = 4.0
+    assert "ring and IMUs then have 4.0 mm" in segment.together_in_words(means, ratios)
+    straight = pd.DataFrame({name: [30.0] for name in segment.MOTIONS})
+    table = segment.by_method(means, straight).set_index("sensors")
+    assert table.loc[segment.TWO].to_list() == [2, 2, 2, 4, 2]
+    assert table.loc["no sensor, straight"].to_list()[:3] == [30] * 3
+
+
+def test_a_straight_guess_is_off_by_as_much_as_the_tip_moves():
+    T = segment.motion(segment.ARC, STEPS)
+    rest = np.array([0.0, 0.0, LENGTH + segment.ELONGATION])
+    off = 1e3 * np.sqrt(((T[:, -1, :3, 3] - rest) ** 2).sum(-1).mean())
+    assert segment.straight_errors({"a": T})["a"][0] == pytest.approx(off)

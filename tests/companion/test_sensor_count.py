@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -246,3 +247,45 @@ def test_errors_of_imus_have_a_bound_if_they_are_perfect_and_a_rule_if_not(curve
     assert (table["largest_mm"] <= table["bound_mm"] + 1e-3)[perfect].all()
     own = table[(table["n_imus"] == 8) & ~perfect]
     np.testing.assert_allclose(own["rule_mm"], 640 * math.radians(3) / 2)
+
+
+def test_the_page_says_what_its_tables_say():
+    means = pd.DataFrame({"n_segments": 1, "noise_mt": 7.1e-4, "n_sensors": [3, 6], "ratio": [1.0, 0.7]})
+    said = sensor_count.in_words(means, 640.0, 8.0, 60.0)
+    assert "6 sensors have 70 % of the error of three" in said
+    assert "about 10 of them" in said
+    needed = pd.DataFrame({
+        "model": [sensor_count.END, sensor_count.MIDDLE, sensor_count.PCC, sensor_count.ARCS], "tolerance_mm": 10.0,
+        "by_rule": [90, 10, 12, 9], "by_bound": [90, 11, 12, 9], "by_curves": [10, 8, 6, None],
+    })  # fmt: skip
+    assert "at most 1 more than the rule" in sensor_count.needed_in_words(needed)
+    assert "1.2 to 2.0 times" in sensor_count.needed_in_words(needed)
+    assert sensor_count.needed_table(needed)["10 mm"].to_list() == [
+        f"{rule}\u00a0({curves})" for rule, curves in ((90, 10), (10, 8), (12, 6), (9, "–"))
+    ]
+
+
+def test_bounds_and_errors_stand_by_coordinate():
+    table = pd.DataFrame({"mean_percent": [1.0, 2.0], "bound_percent": [2.0, 2.0]})
+    said = sensor_count.bound_in_words(
+        table, sensor_count.noise_study(), np.full(6, 0.1), np.arange(6.0) / 10
+    )
+    assert "Δx 0.10 and 0.00, Δy 0.10 and 0.10, δL 0.10 and 0.20, Δx 0.10 and 0.30" in said
+    assert "Over 2 draws of the noise the mean error is 0.75 times the bound" in said
+
+
+def test_a_shape_that_is_beside_the_truth_is_off_by_as_much_everywhere():
+    robot = baaij.robot(1)
+    truth = baaij.lemniscate(1, steps=5)
+    assert sensor_count.shape_error_mm(robot, truth[:, None] + np.zeros((5, 2, 3)), truth) == pytest.approx(0)
+    longer = truth[:, None] + np.array([[[0, 0, 1e-3]]])
+    assert 0.3 < sensor_count.shape_error_mm(robot, longer, truth)[0] < 1.0
+
+
+def test_places_carry_their_height_and_radius():
+    table = pd.DataFrame({
+        "above_mm": [55.0, 35.0], "radial_mm": 13.0, "bound_mm": 1.0, "drawn_mm": 2.0, "off_mm": [3.7, 6.1],
+        "calibrated_mm": [0.14, 0.07], "place": ["paper", "closer"],
+    })  # fmt: skip
+    assert sensor_count.places_table(table)["where"].to_list() == ["paper (55, 13)", "closer (35, 13)"]
+    assert "6.1 mm at the closer place, against 3.7 mm" in sensor_count.places_in_words(table)

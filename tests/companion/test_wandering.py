@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro import simulated_readings
+from repro import simulated_readings, track
 from repro.estimators.drift import DriftModel
 from repro_companion.papers import wandering
 
@@ -21,12 +21,12 @@ def run():
 
 @pytest.fixture(scope="module")
 def found(run):
-    return wandering.follow(METHOD, run)
+    return track(METHOD, run.readings, wandering.START, times=run.times, monitor=None)
 
 
 def test_the_filter_and_the_simulation_mean_the_same_errors(run):
-    """Without noise, sway and iron the sensor model of the filter reads what the run does, to the multipoles."""
-    arm, k = wandering.robot(), 100  # before the iron comes
+    """Without noise and sway the sensor model of the filter reads what the run does, to the multipoles."""
+    arm, k = wandering.robot(), 100
     model = DriftModel(wandering.Drifting(arm.sensing(), wandering.drifts()), arm.lower, arm.upper, "test")
     x = np.concatenate([run.q[k], run.errors[k], np.zeros(6)])
     still = np.concatenate([run.q[k], np.zeros(34)])
@@ -60,41 +60,14 @@ def test_the_filter_believes_the_walks_of_the_simulation():
     assert (METHOD.drift_std == np.repeat([0, wandering.SWAY], [28, 6])).all()
 
 
-def test_iron_is_noticed_and_spoils_nothing_that_lasts(run, found):
-    error, stated, nees = wandering.tip_errors(run, found)
-    alarm = found.status == "left out"
-    near = (run.times >= run.iron_s[0]) & (run.times < run.iron_s[1])
-    assert alarm[near].sum() >= 15
-    assert not alarm[run.times < run.iron_s[0]].any()
-    later = run.times > run.iron_s[1] + 15
-    assert np.sqrt((error[later] ** 2).mean()) < 0.5
-    assert 0.3 < nees[later].mean() < 2
-    assert 0.3 < nees[alarm].mean() < 3
-    assert stated[alarm].min() > 2 * np.median(stated[~alarm])
-
-
-def test_a_sway_beyond_chance_leaves_the_hall_sensors_out(run, monkeypatch):
-    monkeypatch.setattr(wandering, "CHANCE", 1.0)  # then any sway is
-    first = run._replace(times=run.times[:20], readings=run.readings[:20])
-    assert set(wandering.follow(METHOD, first).status) == {"left out"}
-
-
-def test_lasting_errors_stay_while_the_hall_sensors_are_left_out(found):
-    alarm = np.flatnonzero(found.status == "left out")
-    alarm = alarm[np.flatnonzero(np.diff(alarm) == 1) + 1]  # all but the first row of each
-    b, std = found.details["drift"][:, :22], found.details["drift_std"][:, :22]
-    np.testing.assert_array_equal(b[alarm], b[alarm - 1])  # of walks; tilts fade
-    assert (std[alarm] > std[alarm - 1]).all()
-
-
-@pytest.mark.parametrize("sensor", [0, 4])
-def test_one_impossible_code_moves_nothing_by_its_deviation(run, found, sensor):
-    spiked = run.readings[:ROWS].copy()
-    spiked[120, sensor] = 32.767
-    other = wandering.follow(METHOD, run._replace(times=run.times[:ROWS], readings=spiked))
-    change = np.abs(other.details["drift"] - found.details["drift"][:ROWS])[120:, :28]
-    assert (change < 0.5 * found.details["drift_std"][120:ROWS, :28]).all()
-    assert change.max() > 0
+def test_the_stated_uncertainty_of_the_tip_is_right_if_the_drift_is_in_the_state(run, found):
+    late = run.times > 300
+    error, _, nees = wandering.tip_errors(run, found)
+    once = track(wandering.kalman_filter([]), run.readings, wandering.START, times=run.times, monitor=None)
+    off, _, of_once = wandering.tip_errors(run, once)
+    assert 0.5 < nees[late].mean() < 1.5
+    assert of_once[late].mean() > 3
+    assert 2 * (error[late] ** 2).mean() < (off[late] ** 2).mean()
 
 
 def test_nees_of_errors_as_stated_is_one(run):
@@ -113,30 +86,42 @@ def test_nees_of_errors_as_stated_is_one(run):
 def test_minutes_add_up(run, found):
     table = wandering.by_minute(run, found)
     assert list(table["minute"]) == list(range(1, 10))
-    assert table["iron_s"].sum() == 60
     error, _, nees = wandering.tip_errors(run, found)
     assert (table["tip_rmse_percent"] ** 2).mean() == pytest.approx((error**2).mean())
     assert table["nees"].mean() == pytest.approx(nees.mean())
-    alarm = run.times[found.status == "left out"]
-    assert table["flag_iron_s"].sum() == (alarm < run.iron_s[1]).sum()
-    assert table["flag_else_s"].sum() == (alarm >= run.iron_s[1] + 15).sum()
 
 
-MINUTES_OF_IRON = pd.DataFrame({
+def test_errors_are_drawn_at_the_end_of_each_minute_in_the_unit_that_their_name_has(run, found):
+    table = wandering.learnt(run, found)
+    assert list(table["minute"]) == [*range(1, 10)] * 3
+    heading = table[table["error"] == "heading of IMU 3 [°]"]
+    np.testing.assert_allclose(np.radians(heading["truth"]), run.errors[59::60, 21])
+    off = np.abs(table["estimate"] - table["truth"]) / table["std"]
+    assert off.median() < 2
+
+
+MINUTES = pd.DataFrame({
     "twin": 1, "method": "fused", "minute": [1, 2, 3, 4], "tip_rmse_percent": [50.0, 0.0, 0.0, 3.0],
-    "nees": [50.0, 1.0, 2.0, 6.0], "iron_s": [0.0, 20.0, 40.0, 0.0], "flag_iron_s": [0.0, 5.0, 7.0, 0.0],
-    "flag_else_s": [1.0, 0.0, 0.0, 2.0],
+    "nees": [50.0, 1.0, 2.0, 6.0],
 })  # fmt: skip
+RUNS = pd.DataFrame({"method": "fused", "tip_rmse_percent": [1.0, 2.0, 6.0], "nees": [1.0, 2.0, 6.0]})
 
 
 @pytest.mark.parametrize(
     ("found", "expected"),
     [
         # A root mean square over the last three of four minutes.
-        (lambda: wandering.by_run(MINUTES_OF_IRON, last=3), [3**0.5, 3]),
-        # Errors count in the minute that has most of the iron, alarms in all.
-        (lambda: wandering.iron(MINUTES_OF_IRON), [0.0, 2.0, 12.0, 3.0]),
+        (lambda: wandering.by_run(MINUTES, last=3).iloc[0, 2:], [3**0.5, 3]),
+        (lambda: wandering.by_method(RUNS).iloc[0, 1:], [2, 1, 6, 3]),
     ],
 )
 def test_numbers_of_the_page_by_hand(found, expected):
-    assert found().iloc[0, 2:].to_list() == pytest.approx(expected)
+    assert found().to_list() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("nees", "words"), [(1.2, "about right"), (3.0, "too small"), (0.2, "too large")])
+def test_the_page_says_whether_the_stated_uncertainty_is_right(nees, words):
+    table = pd.DataFrame(
+        {"method": ["fused", "self-calibrating"], "median_percent": [2.0, 0.5], "nees": nees}
+    )
+    assert f"uncertainty is {words}" in wandering.in_words(table)

@@ -33,7 +33,7 @@ from repro.chain import point_on
 from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
-from repro_companion.show import ratio_interval
+from repro_companion.show import number, ratio_interval, sentences
 
 MOTIONS = ("constant curvature", "affine curvature", "rod under load")
 ELEMENTS = 44
@@ -409,3 +409,155 @@ def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
     low, high = ratio_interval(wide.to_numpy().T, below.to_numpy().T, RESAMPLES)
     ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
     return pd.DataFrame({"ratio": ratio, "low": low, "high": high}).drop(over, level=1).reset_index()
+
+
+def straight_errors(motions: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """Return the error at the tip [mm] of a guess that always says "straight", by motion."""
+    errors = {}
+    for name, T in motions.items():
+        rest = shape(baaij.robot(1), np.tile([0.0, 0.0, ELONGATION], (len(T), 1)))
+        errors[name] = [shape_errors(rest, T)["tip_mm"]]
+    return pd.DataFrame(errors)
+
+
+# What the page says
+
+RING, CUBE, IMUS, ONE, TWO = PARTS
+ARC, AFFINE, LOAD = MOTIONS
+HEALTHY, FAILED, BESIDE = CONDITIONS
+SHORT = {RING: "ring", CUBE: "cube", IMUS: "IMUs", ONE: "both (one arc)", TWO: "both (two arcs)"}
+HOW = {
+    RING: "build the ring",
+    IMUS: "take the IMUs",
+    TWO: "read ring and IMUs together with a shape of two arcs",
+}
+NAMES = {RING: "the ring", IMUS: "the IMUs", TWO: "ring and IMUs with two arcs"}
+TABLE = {
+    "arc": (ARC, True, HEALTHY),
+    "affine": (AFFINE, True, HEALTHY),
+    "load": (LOAD, True, HEALTHY),
+    "arc, one sensor missing": (ARC, True, FAILED),
+    "arc, not calibrated": (ARC, False, HEALTHY),
+}
+"""Columns of the page's table: how the segment moves, whether the robot is calibrated, and what happens."""
+
+
+def by_method(means: pd.DataFrame, straight: pd.DataFrame) -> pd.DataFrame:
+    """Return errors at the tip [mm] by method, and those of the guess without sensors."""
+    of = means.set_index(["trajectory", "calibrated", "condition", "method"])["tip_mm"].sort_index()
+    table = pd.DataFrame({name: of[key] for name, key in TABLE.items()}).loc[list(PARTS)]
+    table.loc["no sensor, straight"] = [*straight.iloc[0], np.nan, np.nan]
+    return table.rename_axis("sensors").reset_index()
+
+
+def best_first(
+    means: pd.DataFrame,
+    methods: Sequence[str],
+    at: str = ARC,
+    calibrated: bool = True,
+    condition: str = HEALTHY,
+) -> pd.DataFrame:
+    """Return mean errors with their intervals in one situation, the smallest first."""
+    here = (
+        (means["trajectory"] == at) & (means["calibrated"] == calibrated) & (means["condition"] == condition)
+    )
+    return means[here].set_index("method").loc[list(methods)].sort_values("tip_mm")
+
+
+SITUATIONS = {
+    "true arc, calibrated": ((RING, IMUS), {}),
+    "load at the tip, calibrated": ((TWO, IMUS, RING), {"at": LOAD}),
+    "load, only one kind of sensor": ((IMUS, RING), {"at": LOAD}),
+    "load, not calibrated": ((IMUS, RING), {"at": LOAD, "calibrated": False}),
+    "true arc, not calibrated": ((IMUS, RING), {"calibrated": False}),
+    "true arc, a sensor fails": ((ONE, TWO, RING, IMUS), {"condition": FAILED}),
+}
+"""Methods that can be taken in each situation, and the situation."""
+
+
+def take(means: pd.DataFrame, words: str) -> tuple[str, str]:
+    """Return what to take in a situation, both of the first two if their intervals overlap, and all errors [mm]."""
+    methods, how = SITUATIONS[words]
+    own = best_first(means, methods, **how)
+    clear = own["high_mm"].iloc[0] < own["low_mm"].iloc[1]
+    best = " or ".join(SHORT[name] for name in own.index[: 1 if clear else 2])
+    return best, "; ".join(f"{SHORT[name]} {number(error, 2)}" for name, error in own["tip_mm"].items())
+
+
+def situations(means: pd.DataFrame) -> pd.DataFrame:
+    """Return which sensors to take in which situation."""
+    beside, alone = (
+        number(best_first(means, [RING], condition=x)["tip_mm"].iloc[0], 2) for x in (BESIDE, HEALTHY)
+    )
+    rows = [(words, *take(means, words)) for words in SITUATIONS]
+    rows.append((
+        "true arc, unknown magnet near the base", "ring, magnet kept away",
+        f"ring {beside}; without the magnet {alone}",
+    ))  # fmt: skip
+    return pd.DataFrame(rows, columns=["situation", "take", "error at the tip [mm]"])
+
+
+IN_SHORT = """
+**In short.** If your segment bends as a true arc and you calibrate it, {{ how[arc.index[0]] }}
+({{ mm[arc.index[0]] }} at the tip). If something pulls at it, here with {{ "%g" | format(force) }} N sideways at the
+tip, {{ how[best] }} ({{ pulled[best] }}, against {{ pulled[second] }} for {{ names[second] }} and {{ pulled[third] }}
+for {{ names[third] }}). If it is not calibrated and bends as an arc, take {{ bare }}, and if something pulls at it,
+take {{ bare_pulled }}.
+"""
+
+
+def _in_mm(table: pd.DataFrame) -> dict[str, str]:
+    """Return errors by method, with their unit."""
+    return {name: f"{number(error, 2)} mm" for name, error in table["tip_mm"].items()}
+
+
+def in_words(means: pd.DataFrame, force_n: float) -> str:
+    """Return which sensors to take, in a paragraph."""
+    arc, load = best_first(means, [RING, IMUS]), best_first(means, [RING, IMUS, TWO], at=LOAD)
+    best, second, third = load.index
+    return sentences(
+        IN_SHORT, how=HOW, names=NAMES, arc=arc, mm=_in_mm(arc), pulled=_in_mm(load), force=abs(force_n),
+        best=best, second=second, third=third,
+        bare=take(means, "true arc, not calibrated")[0], bare_pulled=take(means, "load, not calibrated")[0],
+    )  # fmt: skip
+
+
+MISSING = """
+{% if better %}
+With a sensor missing, the two-arc method is better than with all ({{ lost }} against {{ all }}). If the base
+IMU is lost, its error is lost with it, because the base stands still. If another sensor is lost, the method goes back
+to one arc, which here is the true shape.
+{% endif %}
+"""
+
+
+def missing_in_words(means: pd.DataFrame) -> str:
+    """Return why the method with two arcs may gain from a loss; nothing if it does not."""
+    lost, all_ = (best_first(means, [TWO], condition=x)["tip_mm"].iloc[0] for x in (FAILED, HEALTHY))
+    in_mm = {name: f"{number(error, 2)} mm" for name, error in (("lost", lost), ("all", all_))}
+    return sentences(MISSING, better=lost < all_, **in_mm)
+
+
+TOGETHER = """
+{{ "More sensors do not help if the shape is wrong." if hurts }}
+With *one* arc, ring and IMUs together have {{ one[0] | fixed(1) }} times the error of the IMUs alone on the affine
+curvature, and {{ one[1] | fixed(1) }} times under the load.
+{{ "The ring's sensors have so little noise that least squares believes them." if hurts }}
+With *two* arcs they have {{ (100 * two[0]) | fixed(0) }} % of the error of the IMUs on the affine curvature, and
+{{ (100 * two[1]) | fixed(0) }} % under the load.
+{% if as_ring %}
+Under a load, losing the IMU at the tip costs the advantage: ring and IMUs then have {{ lost }}, as a ring with all
+its sensors has.
+{% endif %}
+"""
+
+
+def together_in_words(means: pd.DataFrame, ratios: pd.DataFrame) -> str:
+    """Return what it gains or costs to read ring and IMUs together."""
+    ratio = ratios.set_index(["method", "trajectory"])["ratio"]
+    one, two = ([ratio[name, at] for at in (AFFINE, LOAD)] for name in (ONE, TWO))
+    lost = best_first(means, [TWO], at=LOAD, condition=FAILED)["tip_mm"].iloc[0]
+    ring = best_first(means, [RING], at=LOAD)["tip_mm"].iloc[0]
+    as_ring = two[1] < 1 and abs(lost - ring) < 1e-3
+    lost = f"{number(lost, 2)} mm"
+    return sentences(TOGETHER, one=one, two=two, lost=lost, as_ring=as_ring, hurts=min(one) > 1.2)

@@ -1,4 +1,4 @@
-"""A robot whose sensors drift for 45 minutes: its readings, and five ways to follow it. Synthetic.
+"""A robot whose sensors drift for 45 minutes: its readings, and a filter that follows it. Synthetic.
 
 The robot has three segments of Baaij et al. 2023, a ring in the middle of each, three Hall sensors and an IMU at each
 tip. Its base is clamped upright in a constant field of the Earth. At the start everything is as calibrated, and from
@@ -13,14 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from magpylib.func import dipole_field
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from repro import Drift, Drifting, Imu, KalmanFilter, Robot, simulated_readings
-from repro.estimators.monitor import INCONSISTENT, Monitor
 from repro.estimators.track import Trajectory
 from repro_companion.papers import baaij, martin
+from repro_companion.show import project_folder, sentences
 
 RATE_HZ, MINUTES, EVERY = 4.0, 45.0, 4
 """Readings per second, and which of them a filter takes: on seed 100 twice as many gained a few percent."""
@@ -37,8 +35,6 @@ SWAY, SWAY_S = math.radians(1.0), 3.0
 """Error of an IMU's vertical that lasts, and in motion: standard deviation [rad] and correlation time [s]."""
 LAST = 15
 """Minutes at the end that count."""
-IRON_A_M2, IRON_M, IRON_S = 1.0, 0.13, 60.0
-"""Moment of a magnetised tool, its distance from the axis of the robot, and how long it stays."""
 
 
 def robot() -> Robot:
@@ -61,32 +57,31 @@ class Run(NamedTuple):
     """Nine flux densities [mT], then a rotation vector [rad] of each IMU."""
     errors: np.ndarray
     """True errors of the sensors, in the order of :func:`drifts` without the sway."""
-    iron_s: tuple[float, float]
-    """When the iron begins to come, and when it is gone [s]."""
 
 
 def draw(seed: int, minutes: float = MINUTES, size: float = 1.0) -> Run:
-    """Draw motion, drift of so many times its size, and readings.
-
-    In a run of less than 20 minutes the iron comes in its middle third.
-    """
-    generators = [np.random.default_rng([45, seed, k]) for k in range(5)]
+    """Draw motion, drift of so many times its size, and readings."""
+    of_motion, of_drift, of_hall, of_imus = (np.random.default_rng([45, seed, k]) for k in (0, 1, 3, 4))
     arm, times = robot(), np.arange(round(60 * minutes * RATE_HZ)) / RATE_HZ
-    q, errors = motion(times, generators[0]), size * drift(len(times), generators[1])
+    q, errors = motion(times, of_motion), size * drift(len(times), of_drift)
     moment, gain, offset, heading, tilt = np.split(errors, [1, 10, 19, 22], axis=1)
-    foreign, iron_s = foreign_readings(arm, q, times, generators[2])
     u = simulated_readings(arm, q)
-    hall = (1 + gain) * ((1 + moment) * u[:, :9] + foreign) + offset
-    hall += baaij.NOISE_MT * generators[3].standard_normal(hall.shape)
+    hall = (1 + gain) * ((1 + moment) * u[:, :9] + earth_readings(arm, q)) + offset
+    hall += baaij.NOISE_MT * of_hall.standard_normal(hall.shape)
 
     each = (len(times), 3, 3)
     lean = np.zeros(each)
-    lean[..., :2] = tilt.reshape(-1, 3, 2) + SWAY * fading((len(times), 3, 2), SWAY_S, generators[4])
-    noise = IMU_NOISE * generators[4].standard_normal(each)
+    lean[..., :2] = tilt.reshape(-1, 3, 2) + SWAY * fading((len(times), 3, 2), SWAY_S, of_imus)
+    noise = IMU_NOISE * of_imus.standard_normal(each)
     turns = (noise, heading[..., None] * [0.0, 0.0, 1.0], lean, u[:, 9:])
     noisy, turned, leant, true = (Rotation.from_rotvec(x.reshape(-1, 3)) for x in turns)
     imus = (noisy * turned * leant * true).as_rotvec().reshape(-1, 9)
-    return Run(*(x[::EVERY] for x in (times, q, np.hstack([hall, imus]), errors)), iron_s)
+    return Run(*(x[::EVERY] for x in (times, q, np.hstack([hall, imus]), errors)))
+
+
+def earth_readings(arm: Robot, q: np.ndarray) -> np.ndarray:
+    """Return what the Hall sensors read of the Earth ``[t, 9]`` [mT]."""
+    return arm.poses(q, [sensor.place for sensor in arm.sensors])[..., :3, 2] @ EARTH
 
 
 def motion(times: np.ndarray, generator: np.random.Generator) -> np.ndarray:
@@ -113,30 +108,8 @@ def drift(steps: int, generator: np.random.Generator) -> np.ndarray:
     return errors - errors[0]
 
 
-def foreign_readings(
-    arm: Robot, q: np.ndarray, times: np.ndarray, generator: np.random.Generator
-) -> tuple[np.ndarray, tuple[float, float]]:
-    """Return what the Hall sensors read of the Earth and of a tool ``[t, 9]`` [mT], and when the tool is near.
-
-    It comes within five seconds from a metre away, at the height of the first segment, stays, and goes.
-    """
-    last = times[-1]
-    start = generator.uniform(*((last / 3, last * 2 / 3) if last < 1200 else (300.0, 0.95 * last)))
-    azimuth, direction = generator.uniform(0, 2 * np.pi), generator.standard_normal(3)
-    near = np.clip(np.minimum(times - start, start + IRON_S - times) / 5.0, 0.0, 1.0)
-    away = (1.0 - (1.0 - IRON_M) * near**2 * (3 - 2 * near))[:, None, None]
-    place = away * [math.cos(azimuth), math.sin(azimuth), 0.0] + [0.0, 0.0, 0.08]
-    T = arm.poses(q, [sensor.place for sensor in arm.sensors])
-    moment = IRON_A_M2 * direction / np.linalg.norm(direction)
-    field = 1e3 * dipole_field("B", (T[..., :3, 3] - place).reshape(-1, 3), moment).reshape(-1, 9, 3)
-    field[near == 0] = 0.0
-    return (T[..., :3, 2] * (field + EARTH)).sum(-1), (start, start + IRON_S)
-
-
 # Following the robot
 
-CHANCE, AGREES, CALM_S = 1e-8, 1e-3, 10.0
-"""Chance of a false alarm at a row; Hall sensors agree with the IMUs above this chance, and must for so long [s]."""
 SWAYING = Drift("tilt", SWAY, SWAY * math.sqrt(2 / SWAY_S), time_s=SWAY_S)
 
 
@@ -162,42 +135,6 @@ def kalman_filter(wander: Sequence[Drift]) -> KalmanFilter:
     return KalmanFilter(sensing, low, high, noise, 0.6 * (high - low), 0.5 * (high - low))
 
 
-def follow(method: KalmanFilter, run: Run) -> Trajectory:
-    """Follow a robot, and leave its Hall sensors out while a field that no error explains bends the shape.
-
-    That is so if the sway that the readings ask for is beyond chance, or if the monitor finds them inconsistent twice
-    within ten seconds; once may be a glitch. Then lasting errors stay as they were known, and everything else begins
-    anew from the IMUs at every row, until the Hall sensors have agreed with them for a while.
-    """
-    watched, only_imus, rows = Monitor(method), np.arange(18) >= 9, []
-    state, agreed_s, before, odd_s = watched.init(START), CALM_S, 0.0, -CALM_S
-    fresh, errors = state.inner, slice(method.n_q, method.n_q + len(method.drift_std))
-    lasting = slice(method.n_q, errors.stop - 6)
-    for u, t in zip(run.readings, run.times.tolist(), strict=True):
-        count = agreed_s >= CALM_S  # the Hall sensors do
-        after, found = watched.step(state, u, t, mask=None if count else only_imus)
-        sway, odd = (found.details["drift"][-6:] / SWAY) ** 2, found.details["status"] == INCONSISTENT
-        if count and (sway.sum() > chi2.isf(CHANCE, 6) or (odd and t - odd_s < CALM_S)):
-            count, agreed_s = False, 0.0
-        odd_s = t if odd else odd_s
-        if not count:
-            known = method.predicted(state.inner, t)
-            q, P = fresh.q.copy(), fresh.covariance.copy()
-            q[lasting], P[lasting, lasting] = known.q[lasting], known.covariance[lasting, lasting]
-            anew = fresh._replace(q=q, covariance=P)
-            found = method.step(anew, u, t, mask=only_imus)[1]
-            after = after._replace(inner=anew._replace(t=t))
-            surprise = method.step(anew, u, t)[1].chi2 - found.chi2
-            agreed_s = agreed_s + t - before if surprise <= chi2.isf(AGREES, 9) else 0.0
-        elif odd:  # the monitor goes on without a reading, and the IMUs know more than that
-            found = method.step(state.inner, u, t, mask=only_imus)[1]
-        state, before = after, t
-        std = np.sqrt(np.diagonal(state.inner.covariance))[errors]
-        rows.append((*found[:6], state.inner.q[errors], std, "consistent" if count else "left out"))
-    *fields, drifted, std, status = (np.array(x) for x in zip(*rows, strict=True))
-    return Trajectory(run.times, *fields, {"drift": drifted, "drift_std": std}, status)
-
-
 def tip_errors(run: Run, found: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the error of the tip, the deviation that is stated for it [% of the length], and its NEES over 3.
 
@@ -212,18 +149,13 @@ def tip_errors(run: Run, found: Trajectory) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def by_minute(run: Run, found: Trajectory) -> pd.DataFrame:
-    """Return the error of the tip [%], NEES, and seconds: with iron near, with an alarm then, with an alarm else.
-
-    In the 15 s after the iron has gone an alarm counts as neither.
-    """
+    """Return the root mean square error of the tip [%] and the mean NEES, minute by minute."""
     error, _, nees = tip_errors(run, found)
-    near, later = ((run.times >= run.iron_s[0]) & (run.times < run.iron_s[1] + more) for more in (0.0, 15.0))
-    alarm = np.isin(found.status, ("left out", "inconsistent"))
-    seconds = {"iron_s": near, "flag_iron_s": alarm & near, "flag_else_s": alarm & ~later}
-    table = pd.DataFrame({"square": error**2, "nees": nees, **seconds}).groupby(run.times // 60)
-    means = pd.DataFrame({"tip_rmse_percent": np.sqrt(table["square"].mean()), "nees": table["nees"].mean()})
-    whole = means.join(table[list(seconds)].sum() * (run.times[1] - run.times[0])).rename_axis("minute")
-    return whole.reset_index().assign(minute=lambda x: x["minute"].astype(int) + 1)
+    table = pd.DataFrame({"square": error**2, "nees": nees}).groupby(run.times // 60).mean()
+    minutes = 1 + np.arange(len(table))
+    return pd.DataFrame({
+        "minute": minutes, "tip_rmse_percent": np.sqrt(table["square"]), "nees": table["nees"]
+    })  # fmt: skip
 
 
 # Tables
@@ -237,8 +169,71 @@ def by_run(minutes: pd.DataFrame, last: int = LAST) -> pd.DataFrame:
     return means.assign(tip_rmse_percent=np.sqrt(means["tip_rmse_percent"]))
 
 
-def iron(minutes: pd.DataFrame) -> pd.DataFrame:
-    """Return error of the tip [%] and NEES in the minute with most iron, and alarms then and else [s], by run."""
-    groups = minutes.groupby(["twin", "method"], sort=False)
-    most = minutes.loc[groups["iron_s"].idxmax()].set_index(["twin", "method"])[["tip_rmse_percent", "nees"]]
-    return most.join(groups[["flag_iron_s", "flag_else_s"]].sum()).reset_index()
+def study() -> pd.DataFrame:
+    """Return the committed study: error of the tip [%] and NEES by run, method and minute."""
+    return pd.read_csv(project_folder() / "data" / "studies" / "drift.csv")
+
+
+HEADINGS = {
+    "median_percent": "error, median [%]",
+    "min_percent": "least [%]",
+    "max_percent": "most [%]",
+    "nees": "normalised error",
+}
+
+
+def by_method(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return median, least and largest error of the tip [%] and the mean NEES of all runs, by method."""
+    tip = {f"{x}_percent": ("tip_rmse_percent", x) for x in ("median", "min", "max")}
+    return runs.groupby("method", sort=False).agg(**tip, nees=("nees", "mean")).reset_index()
+
+
+IN_SHORT = """
+**What to see.** If sensors drift and the filter does not know it, the error of the tip grows to
+{{ once | fixed(1) }} % of the length in 45 minutes. With the drift in the state of the filter it stays at
+{{ own | fixed(1) }} %, and the stated uncertainty is
+{{ "about right" if 0.5 < nees < 1.5 else "too small" if nees > 1 else "too large" }}. **We chose the drift of the
+offsets so that a filter that is calibrated once ends at 2 to 4 %; with smaller drift the gain is smaller. And we told
+the filter the true size of each drift.**
+"""
+
+
+def in_words(table: pd.DataFrame) -> str:
+    """Return what it gains to have the drift in the state."""
+    error, nees = (table.set_index("method")[column] for column in ("median_percent", "nees"))
+    own = "self-calibrating"
+    return sentences(IN_SHORT, once=error["fused"], own=error[own], nees=nees[own])
+
+
+COLUMNS = """
+Error of the tip in the last {{ last }} minutes, root mean square; 1 % is 3.3 mm. *Calibrated once:* magnets and IMUs,
+drift ignored. *Drift in the state:* the method of this page. *Knows the drift:* the same filter on sensors without
+drift, the best we can hope for. *Normalised error:* squared error over stated variance, mean; 1 is perfect,
+{{ nees | fixed(0) }} means errors about {{ times | fixed(0) }} times as large as stated.
+"""
+
+
+def of_columns(table: pd.DataFrame) -> str:
+    """Return what methods and columns of the table mean."""
+    nees = table.set_index("method").loc["fused", "nees"]
+    return sentences(COLUMNS, last=LAST, nees=nees, times=math.sqrt(nees))
+
+
+LEARNT = {
+    "moments [%]": (0, 100.0),
+    "offset of sensor 5 [mT]": (14, 1.0),
+    "heading of IMU 3 [°]": (21, math.degrees(1)),
+}
+"""Errors that the page draws: which of the state, and their unit."""
+
+
+def learnt(run: Run, found: Trajectory) -> pd.DataFrame:
+    """Return three true errors of sensors with their estimates and deviations, once a minute."""
+    estimate, std = found.details["drift"], found.details["drift_std"]
+    minutes = np.arange(1, len(run.times) // 60 + 1)
+    parts = []
+    for name, (k, unit) in LEARNT.items():
+        columns = {"truth": run.errors[:, k], "estimate": estimate[:, k], "std": std[:, k]}
+        part = {column: unit * values[59::60] for column, values in columns.items()}
+        parts.append(pd.DataFrame(part | {"error": name, "minute": minutes}))
+    return pd.concat(parts)
