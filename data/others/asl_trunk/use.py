@@ -35,13 +35,14 @@ for name in ("adiabatic", "controlled"):
     poses[..., :3] /= 1e3
     third = len(poses) // 3  # teaches, the rest judges
     rig = repro.fit_shape(arm, poses[:third], rig=drawn, fit_rig=True).rig
-    whole = repro.fit_shape(arm, poses, rig=rig)
+    whole = repro.fit_shape(arm, poses, rig=rig, leave_out=False)
     good = whole.chi2 < 10 * np.median(whole.chi2)  # else markers were exchanged
 
     lengths = LENGTHS + np.median(whole.q[:third, 2::3], axis=0)
     arcs = [repro.ConstantCurvature(x, 1.0, extensible=False) for x in lengths]
     stiff, tip = repro.Robot(arcs), point_on(3, lengths[2])
-    turned = repro.fit_shape(stiff, poses, rig=rig, noise=(1e3, 0.01))  # no positions
+    loose = {"noise": (1e3, 0.01), "leave_out": False}  # no positions
+    turned = repro.fit_shape(stiff, poses, rig=rig, **loose)
     T = rig.base @ stiff.poses(turned.q, [tip]) @ rig.bodies[2]
     off = 1e3 * (T[:, 0, :3, 3] - poses[:, 2, :3])
     x, rows = turned.q / turned.q[:third].std(axis=0), np.flatnonzero(good)

@@ -38,7 +38,9 @@ for name, robot in robots.items():
     segment = [int(np.ceil(a / length - 1e-9)) for a in ARCS]
     at = [(g, min(a - (g - 1) * length, length)) for g, a in zip(segment, ARCS)]
     rig = repro.fit_shape(robot, poses[::5], at, rig=first, fit_rig=True).rig
-    found = repro.fit_shape(robot, poses[2::5], at, rig=rig)  # other shapes
+    found = repro.fit_shape(
+        robot, poses[2::5], at, rig=rig, leave_out=False
+    )  # other shapes
     figures[f"{name}_median_mm"] = 1e3 * np.median(found.residual)
     figures[f"{name}_99_percent_mm"] = 1e3 * np.quantile(found.residual, 0.99)
 print(pd.Series(figures).round(2).to_string())

@@ -30,7 +30,7 @@ for name, robot in robots.items():
     length = LENGTH / len(robot.segments)
     at = [(int(a / length) + 1, a % length, (off, 0, 0)) for a, off in zip(ARCS, OFF)]
     fits[name] = repro.fit_shape(
-        robot, markers, at, noise=NOISE, rig=first, fit_rig=True
+        robot, markers, at, noise=NOISE, rig=first, fit_rig=True, leave_out=False
     )
     distance = 1e3 * np.linalg.norm(fits[name].residuals[..., :3], axis=-1)
     errors[name] = distance.mean(axis=0)
