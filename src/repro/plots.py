@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from repro.chain import point_on
+from repro.chain import ConstantCurvature, point_on
 from repro.common import Array, ArrayLike, require
 from repro.parts import Assembly
 from repro.sensing import sensing_of
@@ -128,7 +128,8 @@ def _draw_segments(ax: Any, robot: Assembly, q: Array, colour: str, name: str | 
         T = robot.poses(q, [point_on(g, v * segment.length) for v in share])
         line = 1e3 * T[:, :3, 3]
         ax.plot(*line.T, color=colour, lw=2, marker="" if segment.length else "o", label=name)
-        ring = segment.sizes[1] * np.stack([np.cos(around), np.sin(around), 0 * around])
+        radius = segment.radius if isinstance(segment, ConstantCurvature) else 0.0
+        ring = radius * np.stack([np.cos(around), np.sin(around), 0 * around])
         if 0 < np.ptp(ring) < 2 * segment.length:
             tube = line[:, :, None] + 1e3 * T[:, :3, :3] @ ring
             ax.plot_surface(*np.moveaxis(tube, 1, 0), color=colour, alpha=0.12, linewidth=0, shade=False)
