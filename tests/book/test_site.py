@@ -234,7 +234,7 @@ def test_code_has_contrast(name, scheme, browser):
 def test_a_figure_opens_its_file(name, browser):
     """By keys alone, from disk; its alternative text stays."""
     with open_page(browser, url_of(name), width=390) as (page, _):
-        figures = page.locator("main figure a.in-full")
+        figures = page.locator("main figure:not(.schematic) a.in-full")
         assert figures.count() == page.locator("main figure img[src*='_images/']").count() > 0
         source = figures.first.locator("img").get_attribute("src")
         assert figures.first.locator("img").get_attribute("alt")
