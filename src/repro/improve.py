@@ -30,7 +30,6 @@ _FEWER, _MORE, _OTHER = 2, 3, 0.2
 """Chips fewer and more than the design has that are tried, and the share of the layouts for each number."""
 _SHAPES = 64
 """Random shapes in which a layout is tried."""
-_KINDS = ("magnets", "sensors")
 _NO_HELP = 0.01
 """A change that makes the deviation smaller by less than this share is not made."""
 
@@ -199,7 +198,7 @@ def _with_freedom(robot: Assembly) -> tuple[Assembly, str]:
             "Nothing is marked as free: chips and magnets may move along their whole segments, and around the "
             "backbone where they are off it; sizes stay."
         )
-        parts = {kind: [_loose(robot, part) for part in getattr(robot, kind)] for kind in _KINDS}
+        parts = {kind: [_loose(robot, part) for part in own] for kind, own in _parts(robot).items()}
         robot = robot.replaced(**parts)
     parts = (*robot.magnets, *robot.sensors)
     free = [(part, name, *ends) for part in parts for name, ends in (part.free or {}).items()]
@@ -252,8 +251,13 @@ def _moved(part: Any, rng: np.random.Generator, reach: float | None) -> Any:
     return part
 
 
+def _parts(robot: Assembly) -> dict[str, list[Any]]:
+    """Return what may move, by its kind, in lists of their own."""
+    return {"magnets": [*robot.magnets], "sensors": [*robot.sensors]}
+
+
 def _free_parts(robot: Assembly) -> list[tuple[str, int]]:
-    return [(kind, k) for kind in _KINDS for k, part in enumerate(getattr(robot, kind)) if part.free]
+    return [(kind, k) for kind, own in _parts(robot).items() for k, part in enumerate(own) if part.free]
 
 
 class _Search:
@@ -274,7 +278,7 @@ class _Search:
         self, robot: Assembly, parts: Sequence[tuple[str, int]], reach: float | None = None
     ) -> Assembly:
         """Return the robot with some parts moved."""
-        both = {kind: list(getattr(robot, kind)) for kind in _KINDS}
+        both = _parts(robot)
         for kind, k in parts:
             both[kind][k] = _moved(both[kind][k], self.rng, reach)
         return robot.replaced(**both)
@@ -299,25 +303,25 @@ class _Search:
 
     def by_chips(self, robot: Assembly) -> dict[int, Assembly]:
         """Return the best robots with as many chips as the design has, some fewer, and some more."""
-        n, tries, chips = (
-            len(robot.sensors),
-            int(_OTHER * self.budget / 2),
-            [k for x, k in _free_parts(robot) if x == "sensors"],
-        )
+        n, tries = len(robot.sensors), int(_OTHER * self.budget / 2)
+        movable = [k for kind, k in _free_parts(robot) if kind == "sensors"]
         self.show(f"Looking for the best places of {n} chips ...")
         found = {n: self.best(robot)}
-        for count in (
-            [*range(n + 1, n + 1 + _MORE), *range(n - 1, max(n - 1 - _FEWER, 0), -1)] if chips else []
-        ):
+        more = range(n + 1, n + 1 + _MORE)
+        fewer = range(n - 1, max(n - 1 - _FEWER, 0), -1)
+        for count in [*more, *fewer] if movable else []:
             self.show(f"... and of {count} chips ...")
-            fewer, last = count < n, found[count + (1 if count < n else -1)]
-            if fewer:
+            if count < n:
+                last = found[count + 1]
                 trials = [
                     last.replaced(sensors=[x for x in last.sensors if x is not gone]) for gone in last.sensors
                 ]
             else:
-                grown = [last.replaced(sensors=[*last.sensors, _copy(last, last.sensors[k])]) for k in chips]
-                trials = [self.moved(grown[k % len(chips)], [("sensors", count - 1)]) for k in range(tries)]
+                last = found[count - 1]
+                grown = [
+                    last.replaced(sensors=[*last.sensors, _copy(last, last.sensors[k])]) for k in movable
+                ]
+                trials = [self.moved(grown[k % len(grown)], [("sensors", count - 1)]) for k in range(tries)]
             found[count] = self.refined(min(trials, key=self.error), tries, _STEPS[0] / 2)[1]
         return found
 
@@ -349,20 +353,18 @@ class _Step(NamedTuple):
 
 def _steps(old: Assembly, new: Assembly, error: Callable[[Assembly], float]) -> list[_Step]:
     """Return the changes from a robot to another one, each time the most helpful one."""
-    left, done = set[tuple[str, int]](), set[tuple[str, int]]()
-    for kind in _KINDS:
-        was = getattr(old, kind)
-        left |= {(kind, k) for k, x in enumerate(getattr(new, kind)) if k >= len(was) or x is not was[k]}
+    were, become = _parts(old), _parts(new)
+    kept = {(kind, k): x for kind, own in were.items() for k, x in enumerate(own)}
+    left = {
+        (kind, k) for kind, own in become.items() for k, x in enumerate(own) if x is not kept.get((kind, k))
+    }
+    done = set[tuple[str, int]]()
 
     def mixed(done: set[tuple[str, int]]) -> Assembly:
-        parts = {}
-        for kind in _KINDS:
-            was, becomes = getattr(old, kind), getattr(new, kind)
-            parts[kind] = [
-                x if (kind, k) in done else was[k]
-                for k, x in enumerate(becomes)
-                if (kind, k) in done or k < len(was)
-            ]
+        parts = dict[str, list[Any]]()
+        for kind, own in become.items():
+            both = [x if (kind, k) in done else kept.get((kind, k)) for k, x in enumerate(own)]
+            parts[kind] = [part for part in both if part is not None]
         return old.replaced(**parts)
 
     steps, now = list[_Step](), error(old)
@@ -377,11 +379,11 @@ def _steps(old: Assembly, new: Assembly, error: Callable[[Assembly], float]) -> 
 
 def _in_words(old: Assembly, new: Assembly, kind: str, k: int) -> str:
     """Say what changes of a part."""
-    part, sensor = getattr(new, kind)[k], kind == "sensors"
+    part, sensor, own = _parts(new)[kind][k], kind == "sensors", _parts(old)[kind]
     azimuth = f"azimuth {math.degrees(math.atan2(part.place.position[1], part.place.position[0])) % 360:.4g}°"
-    if k >= len(getattr(old, kind)):
+    if k >= len(own):
         return f"one more chip at {1e3 * part.at:.4g} mm of segment {part.segment}, {azimuth}"
-    was, words, name = getattr(old, kind)[k], list[str](), new.part_names[k] if sensor else f"magnet {k + 1}"
+    was, words, name = own[k], list[str](), new.part_names[k] if sensor else f"magnet {k + 1}"
     moved, size = 1e3 * (part.at - was.at), {} if sensor else vars(was.shape)
     if moved and sensor and new.magnets:
         nearer, magnet = _nearer(new, was.place, part.place)

@@ -137,8 +137,6 @@ VERDICTS = {
     "better": "better",
     "differs": "differs",
 }
-TABLE_1 = rendered("table_style.html")
-"""Style of the tables that look as printed."""
 
 
 def table_1(card: pd.DataFrame, rows: Sequence[Row]) -> HTML:

@@ -227,7 +227,7 @@ def test_every_cell_of_table_1_shows_the_printed_number_and_ours(card):
     assert "<small>15±2</small>12±7<" in lines[0]
     assert html.count('title="differs"') == 1
     assert html.count('title="better"') == 2
-    ruled = [line for line in plots.TABLE_1.splitlines() if "nth-child" in line]
+    ruled = [line for line in html.splitlines() if "nth-child" in line]
     assert ruled, "lines between groups of rows"
     assert all(line.startswith("#fig-table-1.") for line in ruled), "Table 2 and Table II have other groups"
     assert 'id="fig-table-1"' in html

@@ -227,47 +227,65 @@ def fit_shape(
     array([[0.034558, 0.      , 0.      ]])
     """
     owner = "fit_shape"
-    if is_table(poses):
-        table = read_table(poses)
-        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., POSITION_FIRST]
-        times = table.times if times is None else times
-    T = measured_poses(poses, owner)
-    places = places_of(robot, at, T.shape[1], owner)
+    T, places, times = _measured(robot, poses, at, times, owner)
     require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
-    require(robot.n_q, "robot", owner, "one with a coordinate", "none")
-    T, places = _on_the_base(robot, T, places)
-    n = T.shape[1]
-    require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
-    first = rig is None
-    rig = Rig(np.eye(4), np.tile(np.eye(4), (n, 1, 1)), np.zeros((1 + n, 6))) if rig is None else rig
-    require(rig.bodies.shape == (n, 4, 4), "rig", owner, f"of {n} bodies", f"{len(rig.bodies)}")
     search = _Search(robot, places, noise, start, owner)
-    if fit_rig:
-        if first:
-            seen = np.isfinite(T[..., 0, 3]).any()
-            require(seen, "rig", owner, "given to fit a rig to rotations alone", "none")
-            rig = replace(rig, base=_first_base(robot.poses(search.q0, places), T, robot.length / 2))
-        shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
-        rig = search.rig_of(T[shown], rig, 100.0 if first else 1.0)
+    rig = _rig_of(search, T, rig, fit_rig, owner)
     u, places = search.mounted(T, rig)
-    _check_near(robot, u[:, : 3 * n], owner)
+    _check_near(robot, u[:, : 3 * len(places)], owner)
 
     found = search.best(u, places)
     left_out, status = search.judged(found, u, places, leave_out)
     q, u_hat, C, chi2, used = found
     unknown, dof = search.unseen(u), search.freedom(found, u)
     unsure = unknown | (np.diagonal(C, axis1=1, axis2=2) > _FAR)
-    C *= _typical(chi2, dof)
-    open_ = np.where(np.eye(robot.n_q) == 1, np.inf, np.nan)
-    C = np.where(unsure[:, :, None] | unsure[:, None, :], open_, C)
-    at_times = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
-    r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, n, 3)
+    C = _open(C * _typical(chi2, dof), unsure)
+    r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, len(places), 3)
     return FittedShapes(
-        at_times, np.where(unknown, np.nan, q), C, u_hat, chi2, dof, u.shape[1] - used,
+        times, np.where(unknown, np.nan, q), C, u_hat, chi2, dof, u.shape[1] - used,
         {"left_out": left_out}, status,
         residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
         robot=robot if isinstance(robot, Assembly) else None,
     )  # fmt: skip
+
+
+def _measured(
+    robot: Chain, poses: object, at: Sequence[object] | None, times: ArrayLike | None, owner: str
+) -> tuple[Array, list[Place], Array]:
+    """Return poses ``[t, n, 4, 4]`` of bodies beyond the base, where each is, and the times of the rows."""
+    if is_table(poses):
+        table = read_table(poses)
+        poses = np.stack(list(bodies_of(table).values()), axis=1)[..., POSITION_FIRST]
+        times = table.times if times is None else times
+    T = measured_poses(poses, owner)
+    places = places_of(robot, at, T.shape[1], owner)
+    require(robot.n_q, "robot", owner, "one with a coordinate", "none")
+    T, places = _on_the_base(robot, T, places)
+    require(any(where.segment for where in places), "poses", owner, "of a body beyond the base", "none")
+    t = np.arange(len(T), dtype=float) if times is None else numbers(times, "times", owner, (len(T),))
+    return T, places, t
+
+
+def _rig_of(search: _Search, T: Array, given: Rig | None, fit: bool, owner: str) -> Rig:
+    """Return the rig that was given, else the identity; or, fitted from there, the one that suits all shapes."""
+    n = T.shape[1]
+    rig = Rig(np.eye(4), np.tile(np.eye(4), (n, 1, 1))) if given is None else given
+    require(rig.bodies.shape == (n, 4, 4), "rig", owner, f"of {n} bodies", f"{len(rig.bodies)}")
+    if not fit:
+        return rig
+    if given is None:
+        seen = np.isfinite(T[..., 0, 3]).any()
+        require(seen, "rig", owner, "given to fit a rig to rotations alone", "none")
+        drawn = search.robot.poses(search.q0, search.places)
+        rig = replace(rig, base=_first_base(drawn, T, search.robot.length / 2))
+    shown = np.unique(np.linspace(0, len(T) - 1, min(len(T), _RIG_SHAPES)).astype(int))
+    return search.fitted_rig(T[shown], rig, 100.0 if given is None else 1.0)
+
+
+def _open(C: Array, unsure: Array) -> Array:
+    """Return covariances in which coordinates that nobody sees have an infinite variance, and no correlation."""
+    infinite = np.where(np.eye(C.shape[-1]) == 1, np.inf, np.nan)
+    return np.where(unsure[:, :, None] | unsure[:, None, :], infinite, C)
 
 
 def _typical(chi2: Array, dof: Array) -> float:
@@ -466,7 +484,7 @@ class _Search:
         status[bad[alone]] = "left out"
         return before & ~np.isfinite(u), status
 
-    def rig_of(self, T: Array, rig: Rig, wider: float) -> Rig:
+    def fitted_rig(self, T: Array, rig: Rig, wider: float) -> Rig:
         """Return the rig that suits all shapes: Gauss-Newton with the shapes eliminated."""
         n = len(self.places)
         std = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)

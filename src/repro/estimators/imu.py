@@ -551,9 +551,6 @@ def calibrate_imus(
     >>> calibrate_imus(bent, seen, exact_arcs, arm, per_imu=False, noise=1e-6).estimate.round(4) + 0.0
     array([1.5708, 0.    , 0.    , 0.    , 0.    , 1.    ])
     """
-    from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
-
     owner = "calibrate_imus"
     tolerances = {"rotation": rotation, "translation": translation, "heading": heading, "mounting": mounting}
     for name, value in {"noise": noise, **tolerances}.items():
@@ -561,33 +558,39 @@ def calibrate_imus(
     fits = 0 <= link < math.inf and (not link or len(arm.link_lengths) == len(arm.imus))
     require(fits, "link", owner, "not negative, and zero but for a rigid-body model", link)
     q = unit_quaternions(orientations, "orientations", owner, (None, len(arm.imus), 4))
-    seen_at = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
-    seen = np.isfinite(seen_at).all(axis=-1)
-    require(seen.sum() >= 2, "markers", owner, "at least two positions that were seen", int(seen.sum()))
-    seen_at = seen_at[seen]
+    positions = numbers(markers, "markers", owner, (len(q), len(arm.markers), 3), finite=False)
+    seen = np.isfinite(positions).all(axis=-1)
+    used = int(seen.sum())
+    require(used >= 2, "markers", owner, "at least two positions that were seen", used)
     names = _errors_of(arm, per_imu, link > 0)
-    scale = np.array([{**tolerances, "link": link}[name.split("_")[0]] for name in names])
 
-    def predicted(z: Array) -> Array:
-        turned = _corrected(q, names, z * scale, arm.imus)
-        moved = _with_links(arm, names, z * scale)
-        return model(turned, moved, arm.markers)[seen] + (z * scale)[3:6]
+    def predicted(x: Array) -> Array:
+        turned = _corrected(q, names, x, arm.imus)
+        return model(turned, _with_links(arm, names, x), arm.markers)[seen] + x[3:6]
+
+    scale = np.array([{**tolerances, "link": link}[name.split("_")[0]] for name in names])
+    x, covariance = _fitted(predicted, positions[seen], noise, scale)
+    rms = np.sqrt(np.mean(np.sum((predicted(x) - positions[seen]) ** 2, axis=-1)))
+    return ImuCalibration(names, x, covariance, tuple(arm.imus), float(rms), used, seen.size - used)
+
+
+def _fitted(
+    predicted: Callable[[Array], Array], seen: Array, noise: float, scale: Array
+) -> tuple[Array, Array]:
+    """Return the parameters that predict positions best, and their covariance, by their priors' deviations."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
 
     def residuals(z: Array) -> Array:
-        return np.concatenate([((predicted(z) - seen_at) / noise).ravel(), z])
+        return np.concatenate([((predicted(z * scale) - seen) / noise).ravel(), z])
 
     # We start at the frame that fits best without priors (Kabsch 1976): tolerances are no bounds.
-    z = np.zeros(len(names))
-    points = predicted(z)
-    R = Rotation.align_vectors(seen_at - seen_at.mean(0), points - points.mean(0))[0]
-    z[:3], z[3:6] = R.as_rotvec(), seen_at.mean(0) - R.apply(points.mean(0))
-    fit = least_squares(residuals, z / scale, x_scale=1.0, ftol=1e-6, xtol=1e-6)
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(scale, scale)
-    rms = np.sqrt(np.mean(np.sum((predicted(fit.x) - seen_at) ** 2, axis=-1)))
-    used = int(seen.sum())
-    return ImuCalibration(
-        names, fit.x * scale, covariance, tuple(arm.imus), float(rms), used, seen.size - used
-    )
+    x = np.zeros(len(scale))
+    points = predicted(x)
+    R = Rotation.align_vectors(seen - seen.mean(0), points - points.mean(0))[0]
+    x[:3], x[3:6] = R.as_rotvec(), seen.mean(0) - R.apply(points.mean(0))
+    fit = least_squares(residuals, x / scale, x_scale=1.0, ftol=1e-6, xtol=1e-6)
+    return fit.x * scale, np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(scale, scale)
 
 
 def _with_links(arm: Arm, names: tuple[str, ...], z: Array) -> Arm:
