@@ -231,36 +231,50 @@ class Steps:
 
     def _when(self, sent_us: Sequence[float | None], arrived_s: float) -> list[float]:
         """Return the times of steps that arrived together: they increase, whatever the clocks do."""
-        n, steps, found = len(sent_us), self.counters["steps"], []
+        n, found = len(sent_us), list[float]()
         usual_s = 1.0 / (self._robot.rate_hz or 100.0)
         if self._before is None:
             self._first_s = arrived_s - (n - 1) * usual_s
             self._before = self._first_s - usual_s, self._first_s - usual_s
         time_s, before_s = self._before
-        if steps > _LEAST_STEPS:  # by a rate that is stated too low time would run ahead
-            usual_s = min(usual_s, (time_s - self._first_s) / (steps - 1))
-        gap_s = arrived_s - before_s
-        spread_s = min(max((arrived_s - time_s) / n, usual_s / 4), usual_s) if gap_s > 0 else usual_s
+        gap_s, spread_s = arrived_s - before_s, self._apart(n, usual_s, arrived_s, self._before)
         end_s = max(arrived_s, time_s + n * spread_s)
         for behind, time_us in zip(reversed(range(n)), sent_us, strict=True):
-            at_s, (tick_s, tick_us), alike, passed_s = (
-                end_s - behind * spread_s,
-                self._tick,
-                self._alike,
-                math.inf,
-            )
-            if self._by_board and time_us is not None and tick_us is not None:
-                passed_s = 1e-6 * ((time_us - tick_us + WRAP // 2) % WRAP - WRAP // 2)
-            self._alike = alike + 1 if passed_s == 0 else 1
-            if 1 < self._alike <= STILL:
-                at_s = tick_s + alike * self._apart_s
-            elif passed_s and alike <= STILL and -_EARLY_S < passed_s < gap_s + _LATE_S:
-                at_s, self._apart_s = tick_s + passed_s, passed_s / alike
-            elif self._alike > STILL and STANDS_STILL not in self.remarks:
-                self.remarks.append(STANDS_STILL)
+            passed_s = self._passed(time_us)
+            by_clock_s = self._by_clock(passed_s, gap_s)
+            at_s = end_s - behind * spread_s if by_clock_s is None else by_clock_s
             time_s = max(at_s, time_s + _SHORTEST_S)
-            if passed_s:  # the clock shows another time
-                self._tick = at_s if at_s > tick_s else time_s, time_us
+            if passed_s != 0:  # the clock shows another time, or none
+                self._tick = at_s if at_s > self._tick[0] else time_s, time_us
             found.append(time_s)
         self._before = time_s, arrived_s
         return found
+
+    def _apart(self, n: int, usual_s: float, arrived_s: float, before: tuple[float, float]) -> float:
+        """Return the time between steps that arrived together, where no clock tells it."""
+        (time_s, before_s), steps = before, self.counters["steps"]
+        if steps > _LEAST_STEPS:  # by a rate that is stated too low time would run ahead
+            usual_s = min(usual_s, (time_s - self._first_s) / (steps - 1))
+        if arrived_s <= before_s:
+            return usual_s
+        return min(max((arrived_s - time_s) / n, usual_s / 4), usual_s)
+
+    def _passed(self, time_us: float | None) -> float:
+        """Return the time that has passed by the clock of the board; infinite where there is none."""
+        last_us = self._tick[1]
+        if not self._by_board or time_us is None or last_us is None:
+            return math.inf
+        return 1e-6 * ((time_us - last_us + WRAP // 2) % WRAP - WRAP // 2)
+
+    def _by_clock(self, passed_s: float, gap_s: float) -> float | None:
+        """Return the time of a step by the clock of the board; None where the clock is not to be believed."""
+        tick_s, alike = self._tick[0], self._alike
+        self._alike = alike + 1 if passed_s == 0 else 1
+        if self._alike > STILL and STANDS_STILL not in self.remarks:
+            self.remarks.append(STANDS_STILL)
+        if 1 < self._alike <= STILL:
+            return tick_s + alike * self._apart_s
+        if passed_s != 0 and alike <= STILL and -_EARLY_S < passed_s < gap_s + _LATE_S:
+            self._apart_s = passed_s / alike
+            return tick_s + passed_s
+        return None
