@@ -224,7 +224,7 @@ def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
 
 # First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
 
-BODY = ("#1A1A1A", "#943DC7")
+BODY = ("#222222", "#8A2BE2")
 """Segments from base to tip, black to violet as in the paper."""
 FOUR = (BLUE, GREEN, PINK, ORANGE)
 XYZ = ["x_mm", "y_mm", "z_mm"]
@@ -436,7 +436,8 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         bracket = f" ({off[beside]:.1f})" if beside else ""
         words = f"{time_s:.1f} s: {off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
         figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
-    lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
+    both = {"truth": 1.0, "estimate": PALE}
+    lines = [Line2D([], [], color=BODY[0], lw=4, alpha=alpha, label=name) for name, alpha in both.items()]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
     return with_legend(figure, lines, columns=5, loc="upper center")
 
@@ -445,8 +446,7 @@ def _shapes(panel: Axes, now: pd.DataFrame) -> None:
     """Draw the shapes of all runs at one time, the last run first."""
     for run, own in [*now.groupby("run", sort=False)][::-1]:
         for colour, (_, part) in zip(body_colours(3), own.groupby("segment"), strict=False):
-            look = {"color": colour, "lw": 2} if run == "truth" else ESTIMATE
-            panel.plot(*part[XYZ].to_numpy().T, **look)
+            panel.plot(*part[XYZ].to_numpy().T, color=colour, lw=4, alpha=1.0 if run == "truth" else PALE)
 
 
 def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str, Look]]) -> None:
@@ -456,13 +456,14 @@ def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str,
         panel.plot(*now.loc[chosen, XYZ].to_numpy().T, ls="", **look)
 
 
-ESTIMATE: Look = {"color": ORANGE, "lw": 7, "alpha": 0.3}
+PALE = 0.45
+"""Opacity of estimated shapes in stills; in print they are as wide as the true ones, and slightly transparent."""
 STILLS: Sequence[tuple[str, bool, str, Look]] = (
     ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6}),
     ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5}),
     ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0}),
 )
-"""Looks of estimated shapes and of parts in stills."""
+"""Looks of parts in stills."""
 
 
 # Affine curvature: Figs 6 and 7 of Baaij et al.

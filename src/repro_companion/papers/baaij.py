@@ -374,20 +374,12 @@ def pose_errors(arm: Robot, found: np.ndarray, truth: np.ndarray) -> dict[str, f
     return {name: float(np.sqrt((x**2).mean())) for name, x in values.items()}
 
 
-# First steps, and sensors that fail: shapes, parts and fields as tables
+# First steps and stills: shapes, parts and fields as tables
 
 ELONGATION = 2.75e-3
 """Mean elongation of a trajectory [m]."""
 RELEASED_RANGES_MT = {1: (0.92345,), 2: (0.16533, 0.96032), 3: (0.92824, 0.92514, 1.02826)}
 """Range of the readings of each segment's sensors along T3 in the released data."""
-AUTHORS_PERCENT = {
-    "before": (3.5, 3.8, 3.5, 2.8, 3.1, 3.6, 1.5, 1.3, 2.4),
-    "after": (3.7, 5.8, 5.8, 2.2, 3.0, 5.1, 1.6, 2.2, 3.5),
-}
-"""Errors [%] of the networks that the authors released, on regenerated data, before and after the failure.
-
-They are not in print. They were evaluated outside this project and cannot be regenerated here, so they stand here.
-"""
 
 
 def planar(n_segments: int, bend_deg: float) -> np.ndarray:
@@ -433,31 +425,6 @@ def field_in_plane(robot: Robot, q: np.ndarray, rows: int = 121) -> pd.DataFrame
     return pd.DataFrame(columns_of | {"b_x_mT": B[:, 0], "b_z_mT": B[:, 2]})
 
 
-def failure_errors(
-    found: dict[tuple[int, str], np.ndarray], q: np.ndarray, after: np.ndarray
-) -> pd.DataFrame:
-    """Return errors of eq. (13) before and after a failure, of estimates ``[t, n_q]`` by seed and run."""
-    lines, names = [], robot(q.shape[1] // 3).coordinates
-    for part, steps in (("before", ~after), ("after", after)):
-        for (seed, run), estimate in found.items():
-            error = 100 * np.sqrt(((estimate - q)[steps] ** 2).mean(0)) / np.ptp(q, axis=0)
-            lines += [(seed, run, part, *both) for both in zip(names, error, strict=True)]
-    return pd.DataFrame(lines, columns=["member", "run", "part", "quantity", "error_percent"])
-
-
-def failure_means(errors: pd.DataFrame) -> pd.DataFrame:
-    """Return mean and deviation of these errors over seeds, beside the errors of the released networks."""
-    columns = {}
-    for name, run, part in (
-        ("before", "failure", "before"), ("after", "failure", "after"), ("all_sensors", "all sensors", "after")
-    ):  # fmt: skip
-        own = errors[(errors["run"] == run) & (errors["part"] == part)]
-        by_quantity = own.groupby("quantity", sort=False)["error_percent"]
-        columns |= {f"{name}_percent": by_quantity.mean(), f"{name}_percent_std": by_quantity.std()}
-    authors = {f"authors_{part}_percent": values for part, values in AUTHORS_PERCENT.items()}
-    return pd.DataFrame(columns).rename_axis("quantity").reset_index().assign(**authors)
-
-
 def over_seeds(time_s: np.ndarray, names: Sequence, truth: np.ndarray, found: np.ndarray) -> pd.DataFrame:
     """Return truth ``[t, n]``, and mean and deviation over seeds of estimates ``[seeds, t, n]``, by time and name."""
     index = pd.MultiIndex.from_product([time_s, names], names=["time_s", "name"])
@@ -478,28 +445,6 @@ def stills(
         mounted.append(parts(robot, runs["truth"][k]).assign(time_s=at, working=state))
     places = ["time_s", "part", "working", "x_mm", "y_mm", "z_mm"]
     return pd.concat(curves, ignore_index=True), pd.concat(mounted, ignore_index=True)[places]
-
-
-def alarms(study: pd.DataFrame) -> pd.DataFrame:
-    """Return what an emulated robot with a monitor noticed of faults of its sensors, and without it [%]."""
-    table = study[["robot", "estimator", "scenario"]].copy()
-    for name, part, whole in (
-        ("off", "wrong", "readings"),
-        ("off_without", "without", "readings"),
-        ("alarm", "alarms", "readings"),
-        ("alarm_right", "named_readings_right", "readings"),
-        ("noticed", "noticed", "due"),
-        ("unseen", "unseen", "readings"),
-        ("named", "named_clear", "clear"),
-        ("named_right", "named_right", "named"),
-        ("holds", "trusted_hold", "trusted"),
-        ("alarm_soon", "alarm_soon", "large"),
-        ("named_soon", "named_soon", "large"),
-        ("first_right", "first_right", "some"),
-        ("ended", "ended", "trials"),
-    ):
-        table[f"{name}_percent"] = 100 * study[part] / study[whole].where(study[whole] > 0)
-    return table.assign(alarms_before=study["alarms_before"].astype(int))
 
 
 # Robots with manufacturing errors. The settings were chosen on T2 and frozen before T3 was looked at.
