@@ -139,7 +139,8 @@ def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: in
 
 
 def say(text: str) -> None:
-    """Show a sentence, as Markdown."""
+    """Show a sentence, as Markdown, if there is one."""
     from IPython.display import Markdown, display
 
-    display(Markdown(text))
+    if text:
+        display(Markdown(text))
