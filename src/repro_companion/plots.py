@@ -477,6 +477,20 @@ AFFINE_NAMES = {
 
 
 @style()
+def affine_idea(shapes: Mapping[str, np.ndarray], tips: np.ndarray) -> Figure:
+    """Draw shapes ``[n, 3]`` [m] from the side with their names, and the path of the tip ``[t, 3]`` from above."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+    for name, points in shapes.items():
+        x, _, z = 1e3 * points.T
+        left.plot(x, z, lw=2.4)
+        left.annotate(name, (x[-1], z[-1]), (-10, 5), textcoords="offset points")
+    to_scale(left, (-100, 205), (-10, 225), every_mm=100, title="four shapes, from the side")
+    right.plot(*1e3 * tips[:, :2].T, lw=2.4)
+    right.set(title="the flower, from above", xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    return figure
+
+
+@style()
 def affine_over_time(series: pd.DataFrame) -> Figure:
     """Draw Fig. 6: readings above, configuration below; truth, and the mean over seeds with its deviation."""
     figure, panels = column_of_panels(5, 6.3, "time [s]", height_ratios=[2.3, 1, 1, 1, 1])

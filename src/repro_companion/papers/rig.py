@@ -818,12 +818,7 @@ form from the pose of the ring, and both starts of inflation put together. We ch
 lags.""",
 }
 RECORDINGS["own"] = RECORDINGS["recorded"]
-WHY = (
-    "new bends on T2, a lag on T3 (rig)",
-    "T5 is best, as in the paper",
-    "the descent jumps between valleys",
-    "the text omits 1.4",
-)
+WHY = ("new bends, a lag", "T5 is best in both", "jumps, see below", "the text omits 1.4")
 """Reasons for what a table of claims shows of the simulated rig."""
 
 
