@@ -765,7 +765,7 @@ def affine_stills(robot: Robot, truth: np.ndarray, found: np.ndarray) -> tuple[p
 def affine_limits(
     descended: list, solved: list, exact: np.ndarray, percent: np.ndarray, noisy: list
 ) -> pd.DataFrame:
-    """Return mean errors [%] by robot and method, with ``percent [robot, model, coordinate]`` on those with errors."""
+    """Return mean errors [%] by robot and method; ``percent`` ``[robot, model, q]`` are of robots with errors."""
     networks, nominal, calibrated = percent.mean(axis=0)
     lines = [
         ("nominal", "networks, gradient descent (the paper)", *np.mean(descended, axis=0)),
