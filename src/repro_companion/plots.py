@@ -421,10 +421,10 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
     tall = 2.3 * rows + 0.45
     figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        place = (k % 3 / 3, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
+        place = (k % 3 * STILL_APART, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
         panel = figure.add_axes(place, projection="3d", computed_zorder=False, elev=15, azim=-60)
         panel.set(**{f"{name}lim": ends for name, *ends in zip("xyz", low, high, strict=True)})
-        panel.set_box_aspect(high - low, zoom=1.13)
+        panel.set_box_aspect(high - low, zoom=1.06)
         for axis in (panel.xaxis, panel.yaxis, panel.zaxis):
             axis.set_major_locator(MultipleLocator(100))
             axis.set_major_formatter("")
@@ -435,7 +435,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         off = np.sqrt(((tips - tips.loc["truth"]) ** 2).sum(axis=1))
         bracket = f" ({off[beside]:.1f})" if beside else ""
         words = f"{time_s:.1f} s: {off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
-        figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
+        figure.text(k % 3 * STILL_APART + 1 / 6, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
     both = {"truth": 1.0, "estimate": PALE}
     lines = [Line2D([], [], color=BODY[0], lw=4, alpha=alpha, label=name) for name, alpha in both.items()]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
@@ -456,6 +456,8 @@ def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str,
         panel.plot(*now.loc[chosen, XYZ].to_numpy().T, ls="", **look)
 
 
+STILL_APART = 0.305
+"""From one still to the next, of the width of the figure: their empty margins overlap."""
 PALE = 0.45
 """Opacity of estimated shapes in stills; in print they are as wide as the true ones, and slightly transparent."""
 STILLS: Sequence[tuple[str, bool, str, Look]] = (
@@ -770,7 +772,7 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     for panel in panels:
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
-    return with_legend(figure, columns=2)
+    return with_legend(figure, columns=2, handlelength=0.5)
 
 
 @style()
