@@ -25,6 +25,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 from matplotlib.typing import LineStyleType
 
 from repro import Ring, Robot
+from repro.improve import Improvement
 from repro_companion import scorecard_page
 from repro_companion.papers.baaij import Row
 from repro_companion.show import rendered
@@ -1180,6 +1181,14 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
     panel.yaxis.set_major_formatter("{x:g}")
     panel.plot([], [], "--", color="0.2", lw=1, label="bound")
     return with_legend(figure, panel, columns=5)
+
+
+@style()
+def chips_and_error(better: Improvement) -> Figure:
+    """Draw the median deviation of the tip [mm] over the number of chips of a design."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 2.8))
+    better.plot(panel)
+    return figure
 
 
 @style()

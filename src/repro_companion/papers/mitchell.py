@@ -35,6 +35,7 @@ from repro.estimators.particle import BendDisc, Box
 from repro.motion_files import Motion as MotionCapture
 from repro.motion_files import read_motion, undo_exchanges
 from repro_board.lag import search_lag
+from repro_companion import show
 from repro_companion.papers import baaij
 from repro_companion.papers.fetch import listed_files, states
 from repro_companion.run import project_folder, recordings_folder
@@ -648,8 +649,7 @@ def files_in_words() -> str:
 
 def of_recordings(name: str, computed: pd.DataFrame | None) -> pd.DataFrame:
     """Return a table computed from recordings, or without them what the committed study of this name found."""
-    path = project_folder() / "data" / "studies" / f"{name}.csv"
-    return pd.read_csv(path) if computed is None else computed
+    return show.study(name) if computed is None else computed
 
 
 # A module at nominal bends: calibrate_data
