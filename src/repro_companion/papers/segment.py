@@ -397,7 +397,8 @@ def calibrated(tips: np.ndarray, seen: Readings) -> Known:
     columns = np.column_stack([field, np.ones(len(field))])
     fitted = np.linalg.lstsq(columns, seen.hall[:, :2], rcond=None)[0]
     base, tip = (Rotation.from_quat(seen.imus[:, k]) for k in range(2))
-    true, mounting = Rotation.from_matrix(tips[:, :3, :3]), Rotation.identity()
+    true = Rotation.from_matrix(tips[:, :3, :3])
+    world = mounting = Rotation.identity()
     for _ in range(20):  # each with the other one held
         world = (tip * (true * mounting).inv()).mean()
         mounting = ((world * true).inv() * tip).mean()
