@@ -39,6 +39,12 @@ noise of any of them, so each noise is a placeholder: hold your robot still and 
 what you read. The errors are of synthetic readings. Magpylib computes the fields of the robot as it is drawn,
 we add the noise of the file and round to the step of the chip, and least squares tracks ten seconds of a
 smooth motion. A robot that is built is not as drawn, so calibrate yours first.
+
+In the table the tip is known to so many millimetres, one standard deviation: in the *median* of random shapes, in all
+but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
+
+| robot | median | worst | blind | tracked |
+|---|---|---|---|---|
 """
 
 
@@ -58,11 +64,17 @@ def tip_error(robot: Robot, seed: int = 0) -> float:
     return float(1e3 * np.nanmedian(off))
 
 
-def section(name: str) -> str:
+def results(name: str) -> tuple[str, str]:
+    """Return what a check says of a robot, and its row of the table [mm]."""
+    robot = load_robot(FILES / f"{name}.toml")
+    said, _, sizes = robot.check(samples=100).verdict.partition(":")
+    numbers = [*re.findall(r"±([\d.]+) mm", sizes), f"{tip_error(robot):.2g}"]
+    return f"{said}.", " | ".join([f"| {TITLES[name]}", *numbers]) + " |\n"
+
+
+def section(name: str, said: str) -> str:
     """Return the part of the page about one robot."""
     text = (FILES / f"{name}.toml").read_text(encoding="utf-8")
-    robot = load_robot(FILES / f"{name}.toml")
-    tracked = f"Tracked, the tip has a median error of {tip_error(robot):.2g} mm (synthetic)."
     return f"""
 ## {TITLES[name]}
 
@@ -71,7 +83,7 @@ def section(name: str) -> str:
 :width: 360px
 ```
 
-`repro check {name}.toml`: *{robot.check(samples=100).verdict}* {tracked}
+`repro check {name}.toml`: *{said}*
 
 ```{{dropdown}} {name}.toml
 ~~~toml
@@ -96,7 +108,9 @@ def main() -> None:
             axes.invert_xaxis()
         axes.figure.savefig(pictures / f"{name}.png", dpi=70, metadata={"Software": None})
         plt.close(axes.figure)
-    page = HEAD + "".join(section(name) for name in TITLES)
+    found = {name: results(name) for name in TITLES}
+    page = HEAD + "".join(row for _, row in found.values())
+    page += "".join(section(name, said) for name, (said, _) in found.items())
     (ROOT / "book" / "gallery.md").write_text(re.sub(r"\n{3,}", "\n\n", page), encoding="utf-8")
 
 

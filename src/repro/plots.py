@@ -221,8 +221,9 @@ def plot_chips(rows: Sequence[Any], axes: Any = None) -> Any:
         ax.plot(chips, 1e3 * before, "o--", color=_COLOURS[1], label="before a calibration")
         ax.plot(chips, 1e3 * after, "o-", color=_COLOURS[0], label="after a calibration")
         ax.set(xlabel="chips", ylabel="± of the tip, median [mm]", yscale="log", xticks=chips)
-        for axis in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-            axis("{x:g}")
+        within_a_decade = max(before.max(), after.max()) < 10 * min(before.min(), after.min())
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}" if within_a_decade else "")
         ax.legend(frameon=False)
     return ax
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import fcntl
 import html
 import json
@@ -224,11 +225,12 @@ UNREAD = {"parameters", "injected-parameters", "remove-input", "remove-cell", "h
 
 
 def names_in(source: str) -> set[str]:
-    """Return the names that code looks up outside of its functions."""
+    """Return the names that code looks up outside of its functions, without those of attributes."""
     codes = [compile(source, "cell", "exec")]
     for code in codes:
         codes += [part for part in code.co_consts if isinstance(part, CodeType)]
-    return {name for code in codes for name in code.co_names}
+    named = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    return named.intersection(name for code in codes for name in code.co_names)
 
 
 def _values(parameters: Mapping[str, Parameter], record: Record | None, used: set[str], owner: str) -> Record:

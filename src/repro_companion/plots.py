@@ -25,6 +25,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 from matplotlib.typing import LineStyleType
 
 from repro import Ring, Robot
+from repro.improve import Improvement
 from repro_companion import scorecard_page
 from repro_companion.papers.baaij import Row
 from repro_companion.show import rendered
@@ -222,7 +223,7 @@ def tip_paths(paths: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
 
 # First steps, and sensors that fail: Figs 2(a), 4 and 5 of Baaij et al.
 
-BODY = ("#1A1A1A", "#943DC7")
+BODY = ("#222222", "#8A2BE2")
 """Segments from base to tip, black to violet as in the paper."""
 FOUR = (BLUE, GREEN, PINK, ORANGE)
 XYZ = ["x_mm", "y_mm", "z_mm"]
@@ -419,10 +420,10 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
     tall = 2.3 * rows + 0.45
     figure = plt.figure(figsize=(WIDTH, tall), layout="none")  # pictures in 3-D waste their margins
     for k, time_s in enumerate(times):
-        place = (k % 3 / 3, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
+        place = (k % 3 * STILL_APART, (rows - 1 - k // 3) * 2.3 / tall - 0.04, 1 / 3, 2.3 / tall + 0.06)
         panel = figure.add_axes(place, projection="3d", computed_zorder=False, elev=15, azim=-60)
         panel.set(**{f"{name}lim": ends for name, *ends in zip("xyz", low, high, strict=True)})
-        panel.set_box_aspect(high - low, zoom=1.13)
+        panel.set_box_aspect(high - low, zoom=1.06)
         for axis in (panel.xaxis, panel.yaxis, panel.zaxis):
             axis.set_major_locator(MultipleLocator(100))
             axis.set_major_formatter("")
@@ -433,8 +434,9 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         off = np.sqrt(((tips - tips.loc["truth"]) ** 2).sum(axis=1))
         bracket = f" ({off[beside]:.1f})" if beside else ""
         words = f"{time_s:.1f} s: {off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
-        figure.text((k % 3 + 0.5) / 3, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
-    lines = [Line2D([], [], color=BODY[0], lw=2, label="truth"), Line2D([], [], label="estimate", **ESTIMATE)]
+        figure.text(k % 3 * STILL_APART + 1 / 6, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
+    both = {"truth": 1.0, "estimate": PALE}
+    lines = [Line2D([], [], color=BODY[0], lw=4, alpha=alpha, label=name) for name, alpha in both.items()]
     lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
     return with_legend(figure, lines, columns=5, loc="upper center")
 
@@ -443,8 +445,7 @@ def _shapes(panel: Axes, now: pd.DataFrame) -> None:
     """Draw the shapes of all runs at one time, the last run first."""
     for run, own in [*now.groupby("run", sort=False)][::-1]:
         for colour, (_, part) in zip(body_colours(3), own.groupby("segment"), strict=False):
-            look = {"color": colour, "lw": 2} if run == "truth" else ESTIMATE
-            panel.plot(*part[XYZ].to_numpy().T, **look)
+            panel.plot(*part[XYZ].to_numpy().T, color=colour, lw=4, alpha=1.0 if run == "truth" else PALE)
 
 
 def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str, Look]]) -> None:
@@ -454,13 +455,16 @@ def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str,
         panel.plot(*now.loc[chosen, XYZ].to_numpy().T, ls="", **look)
 
 
-ESTIMATE: Look = {"color": ORANGE, "lw": 7, "alpha": 0.3}
+STILL_APART = 0.305
+"""From one still to the next, of the width of the figure: their empty margins overlap."""
+PALE = 0.45
+"""Opacity of estimated shapes in stills; in print they are as wide as the true ones, and slightly transparent."""
 STILLS: Sequence[tuple[str, bool, str, Look]] = (
     ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6}),
     ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5}),
     ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0}),
 )
-"""Looks of estimated shapes and of parts in stills."""
+"""Looks of parts in stills."""
 
 
 # Affine curvature: Figs 6 and 7 of Baaij et al.
@@ -471,6 +475,20 @@ AFFINE_NAMES = {
     "phi": r"$\phi$ [rad]",
     "delta_L": r"$\delta L$ [mm]",
 }
+
+
+@style()
+def affine_idea(shapes: Mapping[str, np.ndarray], tips: np.ndarray) -> Figure:
+    """Draw shapes ``[n, 3]`` [m] from the side with their names, and the path of the tip ``[t, 3]`` from above."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+    for name, points in shapes.items():
+        x, _, z = 1e3 * points.T
+        left.plot(x, z, lw=2.4)
+        left.annotate(name, (x[-1], z[-1]), (-10, 5), textcoords="offset points")
+    to_scale(left, (-100, 205), (-10, 225), every_mm=100, title="four shapes, from the side")
+    right.plot(*1e3 * tips[:, :2].T, lw=2.4)
+    right.set(title="the flower, from above", xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    return figure
 
 
 @style()
@@ -753,7 +771,7 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     for panel in panels:
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
-    return with_legend(figure, columns=2)
+    return with_legend(figure, columns=2, handlelength=0.5)
 
 
 @style()
@@ -1161,6 +1179,14 @@ def sensors_and_noise(table: pd.DataFrame) -> Figure:
     panel.yaxis.set_major_formatter("{x:g}")
     panel.plot([], [], "--", color="0.2", lw=1, label="bound")
     return with_legend(figure, panel, columns=5)
+
+
+@style()
+def chips_and_error(better: Improvement) -> Figure:
+    """Draw the median deviation of the tip [mm] over the number of chips of a design."""
+    figure, panel = plt.subplots(figsize=(WIDTH, 2.8))
+    better.plot(panel)
+    return figure
 
 
 @style()

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from repro_companion.show import KEY, ROW_COLUMNS
+from repro_companion.show import KEY, ROW_COLUMNS, project_folder, results_folder
 
 COLUMNS = [
     *KEY, "published", "published_std", "regenerated", "regenerated_std", "n_seeds", "setting", "verdict", "weak",
@@ -63,6 +63,13 @@ def scorecard(published: Path, files: Iterable[Path], *sources: Iterable[Path]) 
     for _, row in card[(card["verdict"] == "differs") & (card["note"] == "")].iterrows():
         raise ValueError(f"A number that differs must have a note: {_name(row)} of {row['file']} has none.")
     return card[COLUMNS]
+
+
+def of_page(name: str, artefact: str) -> pd.DataFrame:
+    """Return the lines of one artefact, from what a page has just written as ``<name>.rows.csv``."""
+    published = project_folder() / "data" / "published" / "published.csv"
+    card = scorecard(published, [results_folder() / f"{name}.rows.csv"])
+    return card[card["artefact"] == artefact]
 
 
 def _rows(files: Iterable[Path]) -> pd.DataFrame:

@@ -59,6 +59,11 @@ def save(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     return pd.read_csv(path, keep_default_na=False, na_values=[""])
 
 
+def study(name: str) -> pd.DataFrame:
+    """Return a committed study, a table of ``data/studies``."""
+    return pd.read_csv(project_folder() / "data" / "studies" / f"{name}.csv")
+
+
 def published(paper: str, artefact: str) -> pd.DataFrame:
     """Return printed numbers: row, quantity, unit, value and std, and both as they are printed."""
     path = project_folder() / "data" / "published" / "published.csv"
@@ -134,7 +139,8 @@ def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: in
 
 
 def say(text: str) -> None:
-    """Show a sentence, as Markdown."""
+    """Show a sentence, as Markdown, if there is one."""
     from IPython.display import Markdown, display
 
-    display(Markdown(text))
+    if text:
+        display(Markdown(text))

@@ -1,4 +1,4 @@
-"""The two local Sphinx extensions of the book."""
+"""The local Sphinx extensions of the book."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def extension_path(monkeypatch):
     """Make the extensions importable."""
     monkeypatch.syspath_prepend(str(BOOK / "_ext"))
     yield
-    for name in ("repro_links", "repro_site"):
+    for name in ("repro_links", "repro_site", "repro_sources"):
         sys.modules.pop(name, None)
 
 
@@ -179,3 +179,49 @@ def test_words_lead_to_the_glossary_once(tmp_path):
     assert re.search(r'<a class="glossary-link[^>]*glossary-trajectories">T3</a> and T4', text)
     assert re.search(r'term-NEES">NEES</a>; again NEES', text)
     app.cleanup()
+
+
+def test_helpers_are_found_where_they_are_written():
+    """As they stand in code; a function that another module passes on is found in its own."""
+    sources = importlib.import_module("repro_sources")
+    code = """
+import numpy as np
+from repro_companion import plots
+from repro_companion.papers import baaij as b
+from repro_companion.show import project_folder, save
+
+np.eye(3); save(b.stills(plots.WIDTH), "x"); project_folder(); other.stills()
+"""
+    assert sources.helpers_in(BOOK.parent, code) == {
+        "save": ("repro_companion.show", "save"),
+        "project_folder": ("repro_companion.run", "project_folder"),
+        "b.stills": ("repro_companion.papers.baaij", "stills"),
+        "plots.WIDTH": ("repro_companion.plots", "WIDTH"),
+    }
+
+
+@pytest.mark.parametrize(
+    "page", sorted((BOOK.parent / "notebooks").glob("*.ipynb")), ids=lambda page: page.stem
+)
+def test_every_helper_of_a_page_has_a_line_in_its_source(page):
+    sources = importlib.import_module("repro_sources")
+    cells = json.loads(page.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    for module, name in sources.helpers_in(BOOK.parent, code).values():
+        source = sources.source_of(BOOK.parent, module).read_text(encoding="utf-8")
+        assert name in source.splitlines()[sources.lines_of(source)[name] - 1]
+
+
+def test_code_links_the_helper_that_is_meant():
+    """A module's by its module, an imported one where it stands alone; what is linked already stays."""
+    sources = importlib.import_module("repro_sources")
+    n, dot = '<span class="n">{}</span>'.format, '<span class="o">.</span>'
+    uris = {"rig.load": "rig.html#load", "save": "show.html#save"}
+    html = f"{n('rig')}{dot}{n('load')} {n('np')}{dot}{n('load')} {n('save')} {n('x')}{dot}{n('save')}"
+    once = sources.linked(html, uris)
+    load, save = (
+        f'<a class="api-link" href="{uris[name]}">{n(word)}</a>'
+        for name, word in zip(uris, ("load", "save"), strict=True)
+    )
+    assert once == f"{n('rig')}{dot}{load} {n('np')}{dot}{n('load')} {save} {n('x')}{dot}{n('save')}"
+    assert sources.linked(once, uris) == once

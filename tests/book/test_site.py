@@ -17,7 +17,7 @@ from page_visit import AXE, FACTS, STILL, Visit, open_page, visit
 from shown import MACHINE_NAME, cells_not_to_show, texts_of_a_program, texts_of_picture
 
 PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
-WRITTEN = [page for page in PAGES if not page.startswith(("api.", "genindex"))]
+WRITTEN = [page for page in PAGES if not page.startswith(("api.", "genindex", "sources/"))]
 """Notebooks and pages written by hand."""
 FOLDED_TABLES = re.compile(
     r"<details[^>]*>\s*<summary[^>]*>\s*<span[^>]*>All numbers.*?</details>", re.DOTALL

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from repro import Sensing, simulated_readings
 from repro_companion.papers import baaij, sensor_count
 from repro_companion.papers.sensor_count import ARCS, END, IMU_MODELS, MIDDLE, PCC, STEPS
+from repro_companion.show import study
 
 LIMITS = 0.64, 8.0, 60.0
 """Length [m], curvature [rad/m] and its slope [rad/m^2]."""
@@ -267,9 +268,7 @@ def test_the_page_says_what_its_tables_say():
 
 def test_bounds_and_errors_stand_by_coordinate():
     table = pd.DataFrame({"mean_percent": [1.0, 2.0], "bound_percent": [2.0, 2.0]})
-    said = sensor_count.bound_in_words(
-        table, sensor_count.noise_study(), np.full(6, 0.1), np.arange(6.0) / 10
-    )
+    said = sensor_count.bound_in_words(table, study("noise"), np.full(6, 0.1), np.arange(6.0) / 10)
     assert "Δx 0.10 and 0.00, Δy 0.10 and 0.10, δL 0.10 and 0.20, Δx 0.10 and 0.30" in said
     assert "Over 2 draws of the noise the mean error is 0.75 times the bound" in said
 

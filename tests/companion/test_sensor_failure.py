@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 import repro
-from repro_companion.papers import baaij
+from repro_companion.papers import baaij, failure
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -16,8 +16,8 @@ def test_errors_are_root_mean_squares_before_and_after():
     after = np.arange(11) >= 5
     off = np.zeros((11, 1))
     off[0], off[5] = 0.1 * 5**0.5, 0.2 * 6**0.5  # in one of five steps, and in one of six
-    errors = baaij.failure_errors({(0, "failure"): q + off, (0, "all sensors"): q + 0.1}, q, after)
-    found = errors.set_index(["run", "part"])["error_percent"].sort_index()
+    table = failure.errors({(0, "failure"): q + off, (0, "all sensors"): q + 0.1}, q, after)
+    found = table.set_index(["run", "part"])["error_percent"].sort_index()
     assert list(found["failure", "before"].round(9)) == [10, 5, 2.5]
     assert list(found["failure", "after"].round(9)) == [20, 10, 5]
     assert list(found["all sensors", "after"].round(9)) == [10, 5, 2.5]
@@ -58,7 +58,7 @@ def test_alarms_are_shares_of_the_study():
     expected = pd.read_csv(
         ROOT / "results" / "sensor_failure_alarms.csv", keep_default_na=False, na_values=[""]
     )
-    shares = baaij.alarms(study)
+    shares = failure.alarms(study)
     pd.testing.assert_frame_equal(shares, expected, rtol=1e-8, check_dtype=False)
     assert (shares["alarm_right_percent"] <= shares["alarm_percent"]).all()
 

@@ -22,8 +22,8 @@ from repro_companion.papers.martin import (
     released_arm,
     shape,
 )
-from repro_companion.run import project_folder, recordings_folder
-from repro_companion.show import number, sentences
+from repro_companion.run import recordings_folder
+from repro_companion.show import number, sentences, study
 
 FOLDER = "martin2022"
 TABLES = "data analysis/data"
@@ -372,7 +372,7 @@ HEADS = {"file": "table", "rows": "rows", "median_um": "median [µm]", "largest_
 def tables_in_words(files: pd.DataFrame) -> str:
     """Return how well our chains give the released tables: those that are here, or those that were here once."""
     recorded = (files["source"] == "recorded").all()
-    tried = files if recorded else pd.read_csv(project_folder() / "data" / "studies" / "martin_files.csv")
+    tried = files if recorded else study("martin_files")
     within = tried["largest_um"] <= 1
     if recorded:
         return (

@@ -24,16 +24,19 @@ from repro import (
     Magnet,
     ParticleFilter,
     Robot,
+    Sensing,
     Sensor,
     simulated_readings,
     track,
 )
 from repro.common import bad_input, require
 from repro.estimators.base import Estimate
-from repro.estimators.particle import BendDisc
+from repro.estimators.particle import BendDisc, Box
 from repro.motion_files import Motion as MotionCapture
 from repro.motion_files import read_motion, undo_exchanges
 from repro_board.lag import search_lag
+from repro_companion import show
+from repro_companion.papers import baaij
 from repro_companion.papers.fetch import listed_files, states
 from repro_companion.run import project_folder, recordings_folder
 from repro_companion.show import number, ratio_interval, sentences
@@ -184,6 +187,21 @@ def errors_over_time(errors: dict[tuple[Setting, str], np.ndarray]) -> pd.DataFr
     return pd.concat(tables, ignore_index=True)
 
 
+def runs(own: Setting, errors: Mapping[tuple[int, str], np.ndarray], seed: int, steps: int) -> pd.DataFrame:
+    """Return errors over time: given ones by particles and curve, and the library's as it fits and at its best."""
+    found = {(replace(own, particles=n), name): error for (n, name), error in errors.items()}
+    counts = dict.fromkeys(n for n, _ in errors)
+    for setting in [*(replace(FITS, particles=n) for n in counts), BEST]:
+        both = follow(setting, seed, steps)
+        found |= {(setting, name): both[:, k] for k, name in enumerate(CURVES)}
+    return errors_over_time(found)
+
+
+def thinned(table: pd.DataFrame) -> pd.DataFrame:
+    """Return every 15th step of each run in a table of errors over time."""
+    return table[table.groupby(["setting", "particles", "curve"], sort=False).cumcount() % 15 == 0]
+
+
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Return root mean square, mean and largest error of each run in a table of errors over time."""
     by = table.assign(square=table["error_mm"] ** 2).groupby(
@@ -231,6 +249,36 @@ def over_seeds(table: pd.DataFrame) -> pd.DataFrame:
     return by.agg(rmse_mm="mean", rmse_std_mm="std", seeds="count").reset_index()
 
 
+def beside_print(printed: pd.Series, summary: pd.DataFrame, means: pd.DataFrame) -> pd.DataFrame:
+    """Return the published errors [mm] by curve, those of a page as printed, and those of the setting that fits."""
+    here = summary[(summary["particles"] == 1000) & (summary["setting"] == PRINTED.name)].set_index("curve")
+    fits = means[means["setting"] == FITS.name].set_index("curve")
+    columns = {"RMSE [mm]": pd.Series({name: name.capitalize() for name in CURVES}), "published": printed}
+    columns |= {"process noise as stated": here["rmse_mm"], "¼ of it, arc 14 mm": fits["rmse_mm"]}
+    return pd.DataFrame({name: column[list(CURVES)] for name, column in columns.items()})
+
+
+def by_noise(means: pd.DataFrame) -> tuple[pd.DataFrame, pd.Series, pd.DataFrame, float]:
+    """Return errors over process noise: without sensor noise, by the law, and with it; last, of least squares."""
+    clean = means[means["setting"] == "process noise"]
+    noise_pi = np.geomspace(5e-4, 0.02, 30)
+    noisy = means[means["setting"].isin(["random walk", "constant velocity"])]
+    single = means.loc[means["setting"] == SINGLE.name, "rmse_mm"].mean()
+    return clean, pd.Series(law_mm(noise_pi), index=noise_pi), noisy, single
+
+
+def discs(
+    truth: Mapping[str, np.ndarray], state: np.ndarray, q: np.ndarray
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return bends [deg] for Figs 3 and 4: every fourth of each curve, and of one state with its particles."""
+
+    def degrees(bend: np.ndarray, **about: str) -> pd.DataFrame:
+        return pd.DataFrame(np.degrees(bend), columns=["x_deg", "y_deg"]).assign(**about)
+
+    curves = [degrees(bend[::4], curve=name) for name, bend in truth.items()]
+    return pd.concat(curves), pd.concat([degrees(q, part="particle"), degrees(state[None], part="truth")])
+
+
 def gain(table: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
     """Return by curve how many times the error of another method one has, with a paired bootstrap (95 %)."""
     lines = []
@@ -239,6 +287,12 @@ def gain(table: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
         a, b = own[method].dropna().to_numpy(), own[other].dropna().to_numpy()
         lines.append((name, method, other, a.mean() / b.mean(), *ratio_interval(a, b)))
     return pd.DataFrame(lines, columns=["curve", "setting", "than", "ratio", "ratio_low", "ratio_high"])
+
+
+def gains(table: pd.DataFrame) -> pd.DataFrame:
+    """Return by curve what our filter gains over least squares on single readings, and a Kalman filter over ours."""
+    pairs = (BEST, SINGLE), (KALMAN, BEST)
+    return pd.concat(gain(table, method.name, other.name) for method, other in pairs)
 
 
 def gain_in_words(table: pd.DataFrame) -> str:
@@ -251,6 +305,43 @@ def gain_in_words(table: pd.DataFrame) -> str:
         f"**Our best filter has {flower:.0f} % of the error of least squares on single readings on Flower, and"
         f" {seagull:.0f} % on Seagull.** Neither curve was used to choose its noise."
         f" The error of a Kalman filter with the same noises is {sizes if min(less) > 0 else 'not smaller on both'}."
+    )
+
+
+SEGMENT_NOISE_MT = 7.1e-4
+"""Noise of the robots in Table 1 of Baaij et al. [mT]."""
+
+
+def many_segments(particles: Sequence[int], seed: int, steps: int) -> pd.DataFrame:
+    """Return errors of the tip [mm] on the arms of Table 1 of Baaij et al.: clouds of so many, and least squares.
+
+    All start at the truth, and a cloud knows the size of the true steps. The effective number is of a thousand.
+    """
+    lines = []
+    for n_segments in (1, 2, 3):
+        robot = baaij.robot(n_segments, sensors_per_segment=4)
+        q = baaij.lemniscate(n_segments)[:steps]
+        u = baaij.simulate(robot, q, noise_mt=SEGMENT_NOISE_MT, seed=seed)
+        sensing, (lower, upper) = Sensing(robot), baaij.bounds(n_segments)
+        step = np.sqrt((np.diff(q, axis=0) ** 2).mean(axis=0))
+        line: dict[str | int, float] = {"unknowns": 3 * n_segments}
+        for n in particles:
+            cloud = ParticleFilter(sensing, step, SEGMENT_NOISE_MT, Box(lower, upper), n)
+            shape = track(cloud, u, q[0], seed=seed)
+            line[n] = baaij.pose_errors(robot, shape.q, q)["tip_mm"]
+            if n == 1000:
+                line["effective"] = shape.details["effective_sample_size"].mean()
+        single = LevenbergMarquardt(sensing, lower, upper, SEGMENT_NOISE_MT)
+        line["least squares"] = baaij.pose_errors(robot, track(single, u, q[0]).q, q)["tip_mm"]
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def segments_shown(table: pd.DataFrame) -> pd.DataFrame:
+    """Return this table as a page shows it."""
+    clouds = {name: f"{name} particles [mm]" for name in table if name.isdecimal()}
+    return table[["unknowns", "least squares", *clouds]].rename(
+        columns={"least squares": "least squares [mm]", **clouds}
     )
 
 
@@ -558,8 +649,7 @@ def files_in_words() -> str:
 
 def of_recordings(name: str, computed: pd.DataFrame | None) -> pd.DataFrame:
     """Return a table computed from recordings, or without them what the committed study of this name found."""
-    path = project_folder() / "data" / "studies" / f"{name}.csv"
-    return pd.read_csv(path) if computed is None else computed
+    return show.study(name) if computed is None else computed
 
 
 # A module at nominal bends: calibrate_data

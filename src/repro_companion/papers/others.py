@@ -27,7 +27,7 @@ import repro
 from repro.chain import point_on
 from repro_companion.papers import toronto
 from repro_companion.run import project_folder, recordings_folder
-from repro_companion.show import number, rendered, sentences
+from repro_companion.show import number, rendered, sentences, study
 
 LEVEL = 0.9
 """How much of the truth a stated region is to cover."""
@@ -101,7 +101,7 @@ def found(name: str) -> Found:
     """Return what a robot gives: computed where its files are, else as it was committed."""
     if name not in FETCHED:
         return computed(name)
-    known = dict(pd.read_csv(project_folder() / "data" / "studies" / f"others_{name}.csv").to_numpy())
+    known = dict(study(f"others_{name}").to_numpy())
     ready = name != "imu_chain" or importlib.util.find_spec("vqf")
     if ready and (recordings_folder() / FETCHED[name]).is_dir():
         os.environ["REPRO_DATA_DIR"] = str(recordings_folder())  # a user's script knows no cache

@@ -19,17 +19,24 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from repro import (
     AffineCurvature,
+    Arm,
+    BendSensor,
     ConstantCurvature,
     Cube,
     FreeBody,
     Imu,
     Magnet,
+    ParticleFilter,
     Ring,
     Robot,
     Sensor,
+    calibrate,
+    exact_arcs,
     simulated_readings,
+    track,
 )
 from repro.chain import point_on
+from repro.estimators.particle import BendDisc
 from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
@@ -47,6 +54,10 @@ FORCE_N, SECTION, MODULUS = 0.5, 0.011, 1e6
 """Sideways force on the tip; radius [m] and Young's modulus [Pa] of the rod, a soft silicone: all assumed."""
 IMU_NOISE = math.sqrt(2) * np.radians([1.0, 1.0, 2.0])
 """Errors of two IMUs that vary: tilt and heading of one as seen from the other [rad]."""
+
+
+SEEN_BY_HALL = BendSensor(APART * (1 + ELONGATION / LENGTH))
+"""The Hall sensor beside its cube, at the mean elongation."""
 
 
 # How the segment moves
@@ -349,6 +360,58 @@ def shape(robot: Robot, q: np.ndarray) -> Shape:
     """Return the shape of configurations."""
     T = backbone(robot, q, EVERY)
     return T[..., :3, 3], T[..., -1, :3, :3]
+
+
+def by_imus(known: Known, seen: Readings) -> Shape:
+    """Return the shape by two IMUs: an arc of the mean length that joins the orientations of both ends."""
+    base, tip = orientations(known, seen)
+    length = LENGTH + ELONGATION
+    arm = Arm([0, 1], [0.0, length], [length], sub_segments=1)
+    q = np.stack([base.as_quat(), tip.as_quat()], axis=1)
+    return exact_arcs(q, arm, np.linspace(0.0, length, 12)), tip.as_matrix()
+
+
+def by_hall(runs: Sequence[tuple[Known, Readings]], seed: int = 0) -> list[Shape]:
+    """Return the shapes by the Hall sensor: a cloud of particles finds the bend between it and the cube.
+
+    The rest of the segment is taken to be alike, and the field along the body is left out. Without readings the
+    segment is straight.
+    """
+    across = [(seen.hall[:, :2] - known.offset) @ np.linalg.inv(known.matrix).T for known, seen in runs]
+    u = np.insert(np.stack(across, axis=1), 2, np.nan, axis=-1)
+    noise, region = [0.002 * np.pi] * 2, BendDisc(np.pi / 2 * APART / LENGTH)
+    cloud = ParticleFilter(SEEN_BY_HALL, noise, HALL_NOISE, region)
+    bend = np.zeros((*u.shape[:2], 2))
+    if np.isfinite(u[..., :2]).all():
+        bend = track(cloud, u, bend[0], rate_hz=40, seed=seed).q
+    q = np.insert(bend * RADIUS * LENGTH / APART, 2, ELONGATION, axis=-1)
+    return [shape(baaij.robot(1), q[:, k]) for k in range(len(runs))]
+
+
+def calibrated(tips: np.ndarray, seen: Readings) -> Known:
+    """Return what is known of a robot from readings in poses of which the tip ``[t, 4, 4]`` is measured."""
+    drawn = baaij.robot(1)
+    q, covariance = baaij.configurations(drawn, tips[:, None])
+    ring = calibrate(drawn, q, seen.ring, RING_NOISE, covariance)
+    field = SEEN_BY_HALL(q[:, :2] * APART / LENGTH / RADIUS)[:, :2]
+    columns = np.column_stack([field, np.ones(len(field))])
+    fitted = np.linalg.lstsq(columns, seen.hall[:, :2], rcond=None)[0]
+    base, tip = (Rotation.from_quat(seen.imus[:, k]) for k in range(2))
+    true = Rotation.from_matrix(tips[:, :3, :3])
+    world = mounting = Rotation.identity()
+    for _ in range(20):  # each with the other one held
+        world = (tip * (true * mounting).inv()).mean()
+        mounting = ((world * true).inv() * tip).mean()
+    worlds = Rotation.concatenate([base.mean(), world])
+    mountings = Rotation.concatenate([Rotation.identity(), mounting])
+    return Known(ring.robot, fitted[:2].T, fitted[2], worlds, mountings)
+
+
+def each(
+    method: Callable[..., Shape], **given: int
+) -> Callable[[Sequence[tuple[Known, Readings]]], list[Shape]]:
+    """Return a method of one run as one of many, with what else it is given."""
+    return lambda runs: [method(*run, **given) for run in runs]
 
 
 def shape_errors(found: Shape, T: np.ndarray) -> dict[str, float]:

@@ -49,8 +49,9 @@ from repro import (
     pcc_extended,
     rigid_body,
 )
+from repro.improve import Improvement
 from repro_companion.papers import baaij, martin
-from repro_companion.show import project_folder, sentences
+from repro_companion.show import sentences
 
 # Magnetic sensors
 
@@ -369,9 +370,13 @@ def shape_error_mm(robot: Robot, found: np.ndarray, truth: np.ndarray) -> np.nda
     return 1e3 * np.sqrt((points**2).mean((0, 2)))
 
 
-def noise_study() -> pd.DataFrame:
-    """Return the committed study: errors by sensor model, estimator and noise."""
-    return pd.read_csv(project_folder() / "data" / "studies" / "noise.csv")
+CHIPS = {"chips": "chips", "calibrated": "calibrated [mm]", "as_built": "not calibrated [mm]"}
+
+
+def chips_table(better: Improvement) -> pd.DataFrame:
+    """Return the median deviations of the tip [mm] by the number of chips of a design."""
+    table = pd.DataFrame(better.by_chips)
+    return table.assign(calibrated=1e3 * table["calibrated"], as_built=1e3 * table["as_built"])
 
 
 BOUND = """

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from repro import Drift, Drifting, Imu, KalmanFilter, Robot, simulated_readings
 from repro.estimators.track import Trajectory
 from repro_companion.papers import baaij, martin
-from repro_companion.show import project_folder, sentences
+from repro_companion.show import sentences
 
 RATE_HZ, MINUTES, EVERY = 4.0, 45.0, 4
 """Readings per second, and which of them a filter takes: on seed 100 twice as many gained a few percent."""
@@ -167,11 +167,6 @@ def by_run(minutes: pd.DataFrame, last: int = LAST) -> pd.DataFrame:
     end = end.assign(tip_rmse_percent=end["tip_rmse_percent"] ** 2)
     means = end.groupby(["twin", "method"], sort=False)[["tip_rmse_percent", "nees"]].mean().reset_index()
     return means.assign(tip_rmse_percent=np.sqrt(means["tip_rmse_percent"]))
-
-
-def study() -> pd.DataFrame:
-    """Return the committed study: error of the tip [%] and NEES by run, method and minute."""
-    return pd.read_csv(project_folder() / "data" / "studies" / "drift.csv")
 
 
 HEADINGS = {
