@@ -19,7 +19,7 @@ import repro
 from repro_board import session
 from repro_board.cli import main
 from repro_board.record import MOST_LETTERS, read_recording
-from repro_board.session import LET_GO, open_port
+from repro_board.session import LET_GO, Follower, open_port
 from repro_board.wire import encode
 from tests.board.test_record import Board, struct_heads
 from tests.board.waiting import until
@@ -236,12 +236,11 @@ def test_a_port_comes_back_by_itself(board, monkeypatch):
 def test_the_keys_of_live_are_those_of_record(tmp_path, started):
     robot = repro.example() / "robot.toml"
     board = Board(tmp_path)
+    Follower(repro.load_robot(robot)).warm()  # no process has to compile
     line = b",".join([b"0.5"] * repro.load_robot(robot).n_readings) + b"\r\n"
     words = ["live", str(board.port), "--robot", str(robot)]
-    for more, keys in (
-        ([], HINT.replace("n writes a note into the recording, ", "")),
-        (["-o", "a.rec"], HINT),
-    ):
+    without = HINT.replace("n writes a note into the recording, ", "")
+    for more, keys in (([], without), (["-o", "a.rec"], HINT)):
         program = started([*words, *more], lambda: os.chdir(tmp_path))
         program.shows(keys)
         program.press("n")
