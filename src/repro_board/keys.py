@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 from repro_board.record import MOST_LETTERS, Writer, plain
 from repro_board.session import UPLOAD_S, Port
 
-_ESCAPE = "\x1b"
 _ARROWS = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]")
 """Keys without a letter, such as arrows."""
 _INPUT = 0
@@ -39,6 +38,8 @@ class Keys:
         for key in _ARROWS.sub("", letters):
             if self._note is not None:
                 self._type(key, self._note)
+                if self._note is None:  # what was pasted behind a line is no key
+                    break
             elif key == "n":
                 self._begin()
             elif key == "u":
@@ -55,7 +56,7 @@ class Keys:
     def _type(self, key: str, note: str) -> None:
         if key in "\r\n":
             self.finish()
-        elif key == _ESCAPE:
+        elif key == "\x1b":
             self._note = None
         elif key in "\x08\x7f":
             self._note = note[:-1]
@@ -76,14 +77,16 @@ class Keys:
         """Return what is shown: the note that is typed, or what became of it, and which keys there are."""
         if not self.read:
             return ()
-        if self._note is not None:
-            most = f", {MOST_LETTERS} letters at most" if len(self._note) == MOST_LETTERS else ""
-            return (f"Note: {self._note}_", f"Enter keeps it, Esc drops it{most}.")
+        if (note := self._note) is not None:
+            return (
+                f"Note: {note}_",
+                f"Enter keeps it, Esc drops it. {MOST_LETTERS - len(note)} letters are left.",
+            )
         port = f"u lets go of the port for {UPLOAD_S:.0f} s, to upload firmware"
         if left := self.port.free_s:
             port = f"u takes the port back at once ({left:.0f} s left)"
-        note = "n writes a note into the recording, " if self.writer else ""
-        return (*([self._answer] if self._answer else []), f"Keys: {note}{port}, Ctrl-C ends.")
+        first = "n writes a note into the recording, " if self.writer else ""
+        return (*([self._answer] if self._answer else []), f"Keys: {first}{port}, Ctrl-C ends.")
 
     def listen(self, over: threading.Event) -> None:
         """Read keys until it is over. A job in the background would be stopped for that, so it waits."""

@@ -33,7 +33,7 @@ class Program:
 
     def __init__(self, words: list[str], before: Callable[[], object] = lambda: None) -> None:
         self.keys, self.terminal = os.openpty()
-        self.as_it_was, self.shown = termios.tcgetattr(self.terminal), ""
+        self.as_it_was, self.shown, self.before = termios.tcgetattr(self.terminal), "", 0
         self.pid = os.fork()
         if not self.pid:
             self._run(words, before)
@@ -60,12 +60,12 @@ class Program:
                 self.shown += data.decode()
 
     def press(self, keys: str) -> None:
+        self.before = len(self.shown)
         os.write(self.keys, keys.encode())
 
     def shows(self, text: str) -> None:
-        """Wait until a text is shown that was not before."""
-        begin = len(self.shown)
-        until(lambda: text in self.shown[begin:], 20.0)
+        """Wait until a text is shown that was not before the last keys."""
+        until(lambda: text in self.shown[self.before :], 20.0)
 
     def at_once(self) -> bool:
         """Whether keys are read one by one and unseen."""
@@ -130,17 +130,18 @@ def test_notes_are_written_with_the_time_of_their_first_key(board, tmp_path, sta
     began = time.time() - 0.5
     program.press("los\x7fad \x1b[A\x1b[1;5Con, müde\r")
     program.shows("Noted: load on, müde")
-    program.press("nno such thing\x1b")
-    program.press("n  \r")
+    for keys in ("nno such thing\x1b", "n  \r", "npasted\nu unload\r"):
+        program.press(keys)
+        program.shows(HINT)
     program.press("n" + (MOST_LETTERS + 50) * "x")
-    program.shows(f"Enter keeps it, Esc drops it, {MOST_LETTERS} letters at most.")
+    program.shows("Enter keeps it, Esc drops it. 0 letters are left.")
     program.press("\x03")
     assert program.ended() == 0
     recording = read_recording(tmp_path / "a.rec")
-    assert [note.text for note in recording.notes] == ["load on, müde", MOST_LETTERS * "x"]
+    assert [note.text for note in recording.notes] == ["load on, müde", "pasted", MOST_LETTERS * "x"]
     assert abs(recording.unix_s + recording.notes[0].time_s - began) < 0.25
     assert recording.remarks == ()
-    assert "2 notes" in program.shown
+    assert "3 notes" in program.shown
 
 
 ENDS = {
@@ -169,35 +170,28 @@ def test_however_it_ends_the_terminal_is_as_it_was_and_a_note_that_was_begun_is_
     assert texts == ([] if status else ["half a n"])
 
 
-def test_without_a_terminal_there_are_no_keys(board, tmp_path, started):
-    def from_a_pipe() -> None:
-        end, begin = os.pipe()
-        os.write(begin, b"nnote\ru")
-        os.dup2(end, 0)
+def from_a_pipe() -> None:
+    end, begin = os.pipe()
+    os.write(begin, b"nnote\ru")
+    os.dup2(end, 0)
 
-    program = started(recorder(board, tmp_path, "--duration", "1.5"), from_a_pipe)
+
+def in_the_background() -> None:
+    """Reading or setting the terminal would stop it."""
+    if child := os.fork():
+        os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    os.setpgid(0, 0)
+
+
+@pytest.mark.parametrize("run", [from_a_pipe, in_the_background])
+def test_without_a_terminal_in_front_nothing_changes(board, tmp_path, started, run):
+    program = started(recorder(board, tmp_path, "--duration", "1.5"), run)
     program.shows("samples of frames")
+    program.press("nnote\ru")
     assert not program.at_once()
     assert program.ended() == 0
     assert "Keys" not in program.shown
-    recording = read_recording(tmp_path / "a.rec")
-    assert not recording.notes
     assert {block[1] for block in struct_heads(tmp_path / "a.rec")} == {b"A", b"B", b"E"}
-
-
-def test_in_the_background_it_is_not_stopped(board, tmp_path, started):
-    """Reading or setting the terminal would stop it."""
-
-    def behind() -> None:
-        if child := os.fork():
-            os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-        os.setpgid(0, 0)
-
-    program = started(recorder(board, tmp_path, "--duration", "1.5"), behind)
-    program.shows("samples of frames")
-    program.press("nnote\r")
-    assert program.ended() == 0
-    assert not read_recording(tmp_path / "a.rec").notes
 
 
 def test_the_port_is_let_go_of_and_taken_back(board, tmp_path, started):

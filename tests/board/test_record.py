@@ -257,10 +257,9 @@ def test_a_note_that_cannot_be_shown_is_refused_and_repaired_where_another_progr
     assert len(recording.notes) == bool(text)
 
 
-def test_a_recording_of_notes_alone_has_their_times_from_its_first_block(tmp_path):
-    blocks = [block_of(b"A", 0, b"{}", b"RRB3"), block_of(b"N", 1, "läuft".encode(), b"RRB3")]
-    (tmp_path / "a.rec").write_bytes(b"".join(blocks))
-    assert read_recording(tmp_path / "a.rec").notes == [Note(0.0, "läuft")]
+def test_notes_without_a_sample_have_their_times_from_the_first_block(tmp_path):
+    (tmp_path / "a.rec").write_bytes(block_of(b"A", 0, b"{}", b"RRB3") + block_of(b"N", 1, b"on", b"RRB3"))
+    assert read_recording(tmp_path / "a.rec").notes == [Note(0.0, "on")]
 
 
 def test_an_edition_without_notes_is_read_and_a_later_one_refused_in_words(tmp_path):
