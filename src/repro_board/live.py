@@ -25,9 +25,9 @@ from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
 from repro_board.keys import Keys, keyboard
 from repro_board.record import Writer
-from repro_board.session import Follower, Port, Session, no_readings, notes, open_port, summary
+from repro_board.session import BOOT_TEXT, Follower, Port, Session, no_readings, notes, open_port, summary
 from repro_board.view import SILENT_S, Moment, PageServer, Row
-from repro_board.wire import Parser, raw
+from repro_board.wire import Parser, is_text, raw
 
 
 class Summary(NamedTuple):
@@ -127,7 +127,8 @@ class _Taker:
     def wrong(self) -> list[str]:
         """Return why there are no samples at the moment, and the last bytes; nothing if there are."""
         late = time.monotonic() - max(SILENT_S, 2 * self.apart_s)
-        why = "" if self.parser.remarks else "Is --baud the rate of the board?"
+        why = BOOT_TEXT if is_text(self.parser.last) else "Is --baud the rate of the board?"
+        why = "" if self.parser.remarks else why  # they are shown, too
         if self.line.lost:
             said = f"{self.line.address} is away ({self.line.lost}); waiting for it"
         else:

@@ -45,7 +45,7 @@ from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.steps import Step, Steps
 from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
-from repro_board.wire import Parser, raw
+from repro_board.wire import Parser, is_text, raw
 
 MOST_BYTES = 65536
 """Bytes taken from a port at once."""
@@ -155,11 +155,12 @@ def ports() -> str:
 BY_BOUNDS = 0.9 / math.sqrt(12)
 """Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
 _DAMAGED = ("checksum_errors", "malformed", "oversized")
+BOOT_TEXT = "It is text, but not of the form that is expected: a board may say so that it has started."
 _ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
 
 
 def no_readings(lost: str, silent: object, received: int, unread: object, why: str) -> str:
-    """Return why a port gives no readings, in a sentence; nothing if it does."""
+    """Return why a port gives no readings, in a sentence; nothing if it does. ``why`` is what is known of bytes."""
     causes = {
         f"The port is {LET_GO}.": lost == LET_GO,
         "The port is gone; we wait until it is there again.": lost,
@@ -469,7 +470,8 @@ def _of_the_wire(session: Session) -> str:
     silent = quiet if counts["bytes"] else late
     unread = late and recent["bytes"] and not recent["frames"]
     another = late and recent["frames"] and not recent["estimates"]
-    wrong = no_readings(session.lost, silent, counts["bytes"], unread, why)
+    known = session.cause() or (BOOT_TEXT if is_text(session.parser.last) else _ASK)
+    wrong = no_readings(session.lost, silent, counts["bytes"], unread, known)
     return wrong or (f"What arrives does not fit this robot. {why}" if another else "")
 
 

@@ -523,6 +523,11 @@ def raw(data: bytes) -> str:
     return f"The last {len(data)} bytes as text: {text}\nin hex: {data.hex(' ')}" if data else ""
 
 
+def is_text(data: bytes) -> bool:
+    """Return whether nearly all bytes are printed: with a wrong rate they would not be."""
+    return sum(32 <= x < 127 or x in b"\t\r\n" for x in data) > 0.9 * len(data)
+
+
 class Parser:
     r"""Bytes in, samples out; chunks may be cut anywhere. What is not accepted is counted and is no sample.
 

@@ -266,6 +266,10 @@ CASES = {
         lambda: session_of([bytes(range(1, 256)) * 4], format="frames", since_s=2),
         "Bytes arrive, but no readings. Is --baud",
     ),
+    "what a board says when it starts": (
+        lambda: session_of([b"rst:0x1 (POWERON_RESET),boot:0x13"], format="frames", since_s=2),
+        "Bytes arrive, but no readings. It is text, but not of the form that is expected",
+    ),
     "text on a port of frames": (
         lambda: session_of(text(20), format="frames", since_s=2),
         "no readings. Text arrives",
