@@ -276,7 +276,7 @@ def _file(path: Path, remarks: list[str]) -> tuple[Table, list[int]]:
     split = _split(header if given else (), units, body[0].cells, owner, remarks)
     names, units = zip(*split, strict=True)
     values, bad = _values([row.cells for row in body], [k for k, name in enumerate(names) if is_time(name)])
-    refusals, spoilt = _judged(bad, body, header, names, owner)
+    refusals, spoilt = _judged(bad, values, body, header, names, owner)
     damaged = sorted([*damaged, *(body[k].line for k in spoilt)])
     if damaged:
         n, first = len(body) + len(damaged) - len(spoilt), f"(the first: line {damaged[0]})"
@@ -362,10 +362,12 @@ def _named(
 
 
 def _first(rows: list[_Row], plain: list[int], width: int) -> int:
-    """Return the first line with numbers in all columns that have any in most lines: others may have text."""
+    """Return the first line with numbers in all columns that have more numbers than texts: others may have text."""
     found = [k for k in plain if len(rows[k].cells) == width and any(rows[k].cells)]
-    some = [[is_number(cell) for cell in rows[k].cells] for k in found[:: 1 + len(found) // 200]]
-    numeric = np.mean([row for row in some if any(row)] or [[False] * width], axis=0) >= 0.5
+    lines = [rows[k].cells for k in found[:: 1 + len(found) // 200] if any(map(is_number, rows[k].cells))]
+    text = np.mean([[not is_number(cell) for cell in row] for row in lines] or [[True] * width], axis=0)
+    missing = np.mean([[is_missing(cell) for cell in row] for row in lines] or [[False] * width], axis=0)
+    numeric = 1 - text - missing > text
     columns = np.flatnonzero(numeric if numeric.any() else ~numeric)
     whole = (k for k in found if all(is_number(rows[k].cells[c]) for c in columns))
     return next(whole, plain[0] + 1)
@@ -447,10 +449,17 @@ def _values(rows: list[list[str]], clock: list[int]) -> tuple[Array, dict[int, l
 
 
 def _judged(
-    bad: dict[int, list[int]], rows: list[_Row], header: Sequence[str], names: Sequence[str], owner: str
+    bad: dict[int, list[int]],
+    values: Array,
+    rows: list[_Row],
+    header: Sequence[str],
+    names: Sequence[str],
+    owner: str,
 ) -> tuple[dict[str, InputError], set[int]]:
-    """Return why columns cannot be used in which many cells are no numbers, and the rows of few such cells."""
-    spoilt = {k for own in bad.values() if _FEW * len(own) <= len(rows) for k in own}
+    """Return why columns cannot be used that are text, or of which many cells are, and the rows of few such cells."""
+    numbers = {c: np.isfinite(values[:, c]).sum() for c in bad}
+    few = [own for c, own in bad.items() if len(own) < numbers[c] and _FEW * len(own) <= len(rows)]
+    spoilt = {k for own in few for k in own}
     spoilt = spoilt if _FEW * len(spoilt) <= len(rows) else set()
     refusals = {}
     for c, own in bad.items():

@@ -299,6 +299,9 @@ def record(
 ) -> int:
     """Record a port: repro record PORT -o FILE.rec; stop with Ctrl-C.
 
+    In a terminal, the key n writes a note into the recording, with its time: type it, then Enter, or Esc to drop it.
+    The key u lets go of the port for 30 seconds, to upload firmware, and takes it back at once if pressed again.
+
     Parameters
     ----------
     port
@@ -355,6 +358,9 @@ def live(
     grown: float = 1.0,
 ) -> int:
     """Estimate the shape from a port: repro live PORT --robot ROBOT.toml; stop with Ctrl-C.
+
+    In a terminal, the key n writes a note into the recording of -o, and u lets go of the port for 30 seconds, as in
+    repro record.
 
     Parameters
     ----------
@@ -494,6 +500,7 @@ def shown_in_place() -> Iterator[Callable[[object], None] | None]:
     """Give what shows a state: in one place on a terminal, else not at all."""
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -502,7 +509,7 @@ def shown_in_place() -> Iterator[Callable[[object], None] | None]:
     with Live(
         console=console, auto_refresh=False, transient=True
     ) as place:  # at its end the cursor is seen again
-        yield lambda state: place.update(str(state), refresh=True)
+        yield lambda state: place.update(Text(str(state)), refresh=True)
 
 
 def says_extras(name: str, extras: Sequence[str]) -> int:

@@ -31,13 +31,14 @@ from repro_board.calibrations import TOLERANCES, by_motion, with_poses
 from repro_board.cleaning import averaged, complete, frozen, repeats, unwrapped, without_spikes
 from repro_board.export import table_of
 from repro_board.lag import GAP_STEPS, Signal, clock_lag, fine_lag, held_lag, in_axes_of_the_readings
-from repro_board.record import is_recording, read_recording, readings_of
+from repro_board.record import Note, Recording, is_recording, read_recording, readings_of
 from repro_board.report import (
     Report,
     calibration_report,
     csv,
     errors_table,
     new,
+    notes_in_words,
     picture,
     some,
     suspicions,
@@ -60,7 +61,7 @@ def _robot(path: Path | str, owner: str) -> Robot:
     return robot
 
 
-def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) -> Readings:
+def _readings(robot: Robot, source: Path | str | Recording, rate_hz: float | None = None) -> Readings:
     u = readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
     u.remarks = (*u.remarks, *_pace(robot, u.times))
     return u
@@ -290,7 +291,8 @@ def evaluate_files(
     require(0 < share < 1, "share", owner, "between 0 and 1", share)
     require(0 < longest_lag_s < math.inf, "longest-lag", owner, "positive and finite", longest_lag_s)
     sigma = pose_covariance(arm, pose_noise_mm, pose_noise_deg)
-    u = _readings(arm, readings, rate_hz)
+    recording = read_recording(readings) if rate_hz is None and is_recording(readings) else None
+    u = _readings(arm, recording or readings, rate_hz)
     measured = read_poses(arm, poses, bodies=bodies, straight_s=straight_s, covariance=sigma)
     lines = [*u.remarks, *measured.remarks]
     both = _together(arm, u, measured, longest_lag_s, lines)
@@ -302,8 +304,9 @@ def evaluate_files(
         shapes["readings interpolated"] = plain
     shape = _given(arm, both, parts, truth[parts.rest])
     table = errors_table(shape, sigma, shapes)
-    lines += [*_said(both, parts, fitted, truth), *_errors_in_words(table)]
-    _write(folder, table, {"measured": shape, **shapes}, lines, fitted.calibration)
+    notes = _notes(recording, u, both)
+    lines += [*_said(both, parts, fitted, truth), *notes_in_words(notes), *_errors_in_words(table)]
+    _write(folder, table, {"measured": shape, **shapes}, lines, fitted.calibration, notes)
     return Report("\n".join([*lines, f"Written: {folder.name}"]), table)
 
 
@@ -422,6 +425,14 @@ def _said(both: _Both, parts: _Parts, fitted: _Fitted, truth: Array) -> list[str
     return lines
 
 
+def _notes(recording: Recording | None, readings: Readings, both: _Both) -> list[Note]:
+    """Return the notes of a recording by the times of the evaluation, which may begin at its first row."""
+    if recording is None or readings.times is None:
+        return []
+    earlier = float(readings.times[0] - both.t[0])
+    return [note._replace(time_s=note.time_s - earlier) for note in recording.notes]
+
+
 def _errors_in_words(table: pd.DataFrame) -> list[str]:
     tip = table[table["quantity"] == "tip"].drop(columns=["quantity", "unit"])
     return [
@@ -437,6 +448,7 @@ def _write(
     shapes: Mapping[str, Trajectory],
     lines: list[str],
     known: Calibration | None,
+    notes: Sequence[Note],
 ) -> None:
     """Write the folder, which appears when it is complete."""
     frames, measured = {name: shape.to_frame() for name, shape in shapes.items()}, shapes["measured"]
@@ -445,7 +457,7 @@ def _write(
     if known is not None:
         files["calibration.json"] = calibration_text(known)
     drawn = [unit for unit, fixed in zip(measured.units(), measured.robot.fixed, strict=True) if not fixed]
-    image = picture(frames, drawn)
+    image = picture(frames, drawn, notes)
     with whole(folder, "repro evaluate") as stage:
         stage.mkdir()
         (stage / "estimates.png").write_bytes(image)

@@ -38,7 +38,8 @@ def export(
     to
         ``csv``, ``parquet`` or ``mcap``; by default what the ending of the file says, CSV without one. A table is
         that of `table_of`. Messages of MCAP are JSON: ``/readings`` has the rows of the table, ``/readings/3``
-        those of stream 3 where there are several, and ``/estimate`` those of the estimates, without what is missing.
+        those of stream 3 where there are several, ``/estimate`` those of the estimates, without what is missing, and
+        ``/notes`` what was noted.
     robot
         Write its readings, one row a time step, instead of the samples of the board; or the path of its file.
     estimates
@@ -80,7 +81,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[pd.DataF
     It has ``time_s`` from the first sample, ``unix_s``, ``board_s`` by the clock of the board where it sends one, and
     with a robot its readings by their names in mT, IMUs as rotation vectors in rad. Without one it has a row for each
     sample: ``stream``, ``sequence`` where the board sends it, and the values by the names and units that the board
-    sends, else u1, u2 and so on.
+    sends, else u1, u2 and so on. Where something was noted, ``note`` has it in the row that is nearest in time.
     """
     require(len(recording.samples), "recording", recording.path.name, "one with samples", "none")
     if robot is not None:
@@ -88,7 +89,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[pd.DataF
         magnetic = sum(sensor.axes for sensor in robot.sensors)
         names = [f"{name}_{'mT' if k < magnetic else 'rad'}" for k, name in enumerate(robot.names)]
         times = np.asarray(readings.times)
-        columns = _clocks(recording, times)
+        columns = _clocks(recording, times) | _notes(recording, times)
         return pd.DataFrame(columns | dict(zip(names, readings.T, strict=True))), list(readings.remarks)
     remarks, widths = list(recording.remarks), {len(sample.values) for sample in recording.samples}
     if len(widths) > 1:
@@ -96,7 +97,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[pd.DataF
     values = np.full((len(recording.samples), max(widths)), np.nan)
     for k, sample in enumerate(recording.samples):
         values[k, : len(sample.values)] = sample.values
-    columns = _clocks(recording, recording.times)
+    columns = _clocks(recording, recording.times) | _notes(recording, recording.times)
     columns["stream"] = np.array([sample.stream for sample in recording.samples])
     sequence = [sample.sequence for sample in recording.samples]
     if None not in sequence:
@@ -116,6 +117,15 @@ def _clocks(recording: Recording, times: Array) -> dict[str, Array]:
         nearest = np.rint(np.interp(times, recording.times, np.arange(len(board_us)))).astype(int)
         columns["board_s"] = np.array(board_us)[nearest] / 1e6
     return columns
+
+
+def _notes(recording: Recording, times: Array) -> dict[str, Array]:
+    """Return what was noted, in the row that is nearest in time; no column where nothing was."""
+    texts: dict[int, list[str]] = {}
+    for note in recording.notes:
+        texts.setdefault(int(np.abs(times - note.time_s).argmin()), []).append(note.text)
+    column = np.array(["; ".join(texts.get(k, [])) for k in range(len(times))], dtype=object)
+    return {"note": column} if recording.notes else {}
 
 
 def _estimates(path: Path, last_s: float) -> pd.DataFrame:
@@ -139,6 +149,9 @@ def _write_mcap(
 
     several = "stream" in table and bool(table["stream"].nunique() > 1)
     topics = {"/estimate": estimates} if estimates is not None else {}
+    if recording.notes:
+        topics["/notes"] = pd.DataFrame(recording.notes)
+        table = table.drop(columns="note")
     for stream, part in table.groupby("stream" if several else np.zeros(len(table))):
         topics[f"/readings/{stream}" if several else "/readings"] = part
     messages = []

@@ -23,10 +23,11 @@ from repro.common import InputError, bad_input, require, whole
 from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
+from repro_board.keys import Keys, keyboard
 from repro_board.record import Writer
-from repro_board.session import Follower, Session, notes, open_port, summary
-from repro_board.view import Moment, PageServer, Row
-from repro_board.wire import Parser
+from repro_board.session import BOOT_TEXT, Follower, Port, Session, no_readings, notes, open_port, summary
+from repro_board.view import SILENT_S, Moment, PageServer, Row
+from repro_board.wire import Parser, is_text, raw
 
 
 class Summary(NamedTuple):
@@ -40,10 +41,11 @@ class Summary(NamedTuple):
     format: str | None
     counters: dict[str, int]
     remarks: tuple[str, ...]
+    notes: int = 0
 
     def __str__(self) -> str:
         """Return a line of numbers, and one for each remark."""
-        counted = {"reconnects": self.reconnects} | self.counters
+        counted = {"reconnects": self.reconnects, "notes": self.notes} | self.counters
         others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
         rate = f"{self.samples} samples of {self.format or 'no known format'}"
         rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
@@ -77,35 +79,69 @@ def record(
 ) -> Summary:
     """Record a port until the time is over, ``stop`` is set, or Ctrl-C; wait for a port that is lost.
 
-    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second.
+    Format and channels are for what is shown, and for readers to try first. ``show`` gets the state once per second,
+    and whenever a key has changed it. Keys are read where standard input is a terminal.
     """
     require(duration_s > 0, "duration", "repro record", "a time above zero [s]", duration_s)
-    stop, parser, samples = stop or threading.Event(), Parser(format, channels), 0
+    stop = stop or threading.Event()
     about = {"port": port, "baud": baud, "format": format, "channels": channels, "version": repro.__version__}
     about["started"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     with closing(Writer(path, about)) as file, closing(open_port(port, baud)) as line, stopping(stop):
-        start = time.monotonic()
-        opened, shown = line.opened, start
+        taker = _Taker(file, line, Parser(format, channels))
+        shown, lines = taker.start, ()
+        with keyboard(line, file) as keys:
+            while not stop.is_set() and (left := taker.start + duration_s - time.monotonic()) > 0:
+                taker.take(min(0.1, left))
+                before, lines = lines, keys.lines()
+                if show and (lines != before or time.monotonic() >= shown + 1):
+                    shown = time.monotonic()
+                    show(taker.summary(*taker.wrong(), last=lines))
+        file.close(taker.summary()._asdict() | {"path": None})
+        return taker.summary(*([] if taker.samples else taker.wrong()))
 
-        def state() -> Summary:
-            lost = [f"{port} is away ({line.lost}); waiting for it"] if line.lost else []
-            return Summary(
-                file.path if file.received else None, time.monotonic() - start, file.received, samples,
-                line.opened - 1, parser.format, {**parser.counters}, (*lost, *parser.remarks),
-            )  # fmt: skip
 
-        while not stop.is_set() and (left := start + duration_s - time.monotonic()) > 0:
-            data, before = line.read(min(0.1, left)), opened
-            opened = line.opened
-            file.take(data, opened > before)
-            if opened > before:
-                parser.reopened()
-            samples += len(parser.feed(data))
-            if show and time.monotonic() >= shown + 1:
-                shown = time.monotonic()
-                show(state())
-        file.close(state()._asdict() | {"path": None})
-        return state()
+class _Taker:
+    """What `record` takes from a port, and has taken so far."""
+
+    def __init__(self, file: Writer, line: Port, parser: Parser) -> None:
+        self.file, self.line, self.parser = file, line, parser
+        self.start = self.heard = self.sampled = time.monotonic()
+        self.samples, self.opened = 0, line.opened
+        self.apart_s = 0.0  # longest time between bytes
+
+    def take(self, timeout_s: float) -> None:
+        """Write and count what arrives."""
+        data, now = self.line.read(timeout_s), time.monotonic()
+        again, self.opened = self.line.opened > self.opened, self.line.opened
+        self.file.take(data, again)
+        if again:
+            self.parser.reopened()
+            self.heard = self.sampled = now
+        found = len(self.parser.feed(data))
+        self.samples += found
+        if data:
+            self.apart_s, self.heard = max(self.apart_s, now - self.heard), now
+        if found:
+            self.sampled = now
+
+    def wrong(self) -> list[str]:
+        """Return why there are no samples at the moment, and the last bytes; nothing if there are."""
+        late = time.monotonic() - max(SILENT_S, 2 * self.apart_s)
+        why = BOOT_TEXT if is_text(self.parser.last) else "Is --baud the rate of the board?"
+        why = "" if self.parser.remarks else why  # they are shown, too
+        if self.line.lost:
+            said = f"{self.line.address} is away ({self.line.lost}); waiting for it"
+        else:
+            said = no_readings("", self.heard < late, self.file.received, self.sampled < late, why)
+        return [text for text in (said, raw(self.parser.last)) if said and text]
+
+    def summary(self, *wrong: str, last: tuple[str, ...] = ()) -> Summary:
+        """Return the state; what is wrong stands before the remarks of the parser, and keys behind them."""
+        return Summary(
+            self.file.path if self.file.received else None, time.monotonic() - self.start, self.file.received,
+            self.samples, self.line.opened - 1, self.parser.format, {**self.parser.counters},
+            (*wrong, *self.parser.remarks, *last), self.file.notes,
+        )  # fmt: skip
 
 
 def terminal(seen: Moment) -> Group:
@@ -115,18 +151,22 @@ def terminal(seen: Moment) -> Group:
         Columns([Text(x, style) for x in seen.numbers], padding=(0, 3)),
         *(Text(f"{name:9} {text}") for name, text in seen.summary),
         *(Text(f"! {x}", "bold red") for x in seen.alarms),
+        *([Text(seen.raw)] if seen.raw else []),
         *(Text(x, "dim") for x in seen.notes),
     )
 
 
 @contextmanager
-def shown(session: Session, browser_socket: int | None) -> Iterator[None]:
-    """Show a session on the terminal and, with the number of a socket, on a page for the browser."""
+def shown(session: Session, keys: Keys, browser_socket: int | None) -> Iterator[None]:
+    """Show a session and keys on the terminal and, with the number of a socket, a page for the browser."""
     console = Console(stderr=True)
 
     def on_the_terminal() -> Any:
         seen = session.guarded(lambda: terminal(session.moment), "view on the terminal")
-        return Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen
+        return Group(
+            Text(f"! {seen}", "bold red") if isinstance(seen, str) else seen,
+            *(Text(line) for line in keys.lines()),
+        )
 
     with ExitStack() as opened:
         if browser_socket is not None:
@@ -200,24 +240,25 @@ def live(
         require(path is None or not path.exists(), name, "live", "a new file", path)
     follower = _follower(robot, method)
     follower.warm()
+    writer = None
     with ExitStack() as opened:
-        session = Session(
-            follower, opened.enter_context(closing(open_port(line.port, line.baud))), line.format,
-            with_shape=browser_socket is not None,
-        )  # fmt: skip
+        port = opened.enter_context(closing(open_port(line.port, line.baud)))
+        session = Session(follower, port, line.format, with_shape=browser_socket is not None)
         session.stop = stop or session.stop
         if output is not None:
             writer = opened.enter_context(closing(Writer(output, asdict(line))))
             session.record = writer.take
         opened.enter_context(stopping(session.stop))
+        keys = opened.enter_context(keyboard(port, writer))
         if estimates is not None:
             opened.enter_context(table_of_estimates(estimates, session))
-        opened.enter_context(shown(session, browser_socket))
+        opened.enter_context(shown(session, keys, browser_socket))
         session.run(duration_s)
     if session.refusal and not session.own["estimates"]:
         raise InputError(session.refusal)
     counted = [f"{name}: {text}" for name, text in summary(session).items()]
-    return "\n".join([*counted, *notes(session)])
+    noted = [f"notes: {writer.notes} in {writer.path.name}"] if writer and writer.notes else []
+    return "\n".join([*counted, *noted, *notes(session)])
 
 
 def _follower(path: str | Path, method: Method) -> Follower:

@@ -5,21 +5,21 @@ A recording is a row of blocks. Each is written by one call and never touched ag
 ====== ======= ===========================================================================================
 offset bytes   content (little endian)
 ====== ======= ===========================================================================================
-0      4       ``RRB2``
+0      4       ``RRB3``; ``RRB2`` where a recording cannot hold notes
 4      1       ``A``: about the recording (JSON); ``B``: bytes from the port; ``O``: the port was opened again,
-               no content; ``E``: the end (JSON with all counters)
+               no content; ``N``: a note (text in UTF-8); ``E``: the end (JSON with all counters)
 5      3       0
 8      4       a random number, the same in all blocks of a recording
 12     4       number of the block, from 0
 16     4       bytes of the content, at most 65536
-20     8       time of arrival since 1970 [ns]
+20     8       time of arrival since 1970 [ns]; of a note, when it was begun
 28     4       CRC-32 (``zlib.crc32``) of the 28 bytes before and of the content
 32     ...     the content
 ====== ======= ===========================================================================================
 
 A wrong format spoils nothing, because the parser runs again whenever the file is read. A damaged block costs its own
-bytes; the numbers say which blocks are missing, doubled or exchanged. Recordings of an earlier edition (``RRB1``) had
-values instead of bytes, and are refused.
+bytes; the numbers say which blocks are missing, doubled or exchanged. A program that knows no notes refuses ``RRB3``,
+so none gets lost unseen. Recordings of an earlier edition (``RRB1``) had values instead of bytes, and are refused.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ import itertools
 import json
 import math
 import os
+import re
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -45,9 +46,12 @@ from repro.tables import Readings, read_readings
 from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 
-_MAGIC = b"RRB2"
+_MAGIC = b"RRB3"
+_KNOWN, _ANOTHER = re.compile(b"RRB[23]"), re.compile(b"RRB[^23]")
 MOST_BYTES = 65536
 """Of a block."""
+MOST_LETTERS = 200
+"""Of a note."""
 SYNC_S = 0.25
 """A power cut costs at most this time [s], and what the disk itself holds back."""
 _HEAD, _CRC = struct.Struct("<4sc3xIIIq"), struct.Struct("<I")
@@ -71,12 +75,12 @@ class Writer:
     """
 
     def __init__(self, path: str | Path, about: Json) -> None:
-        self.path, self.received = Path(path), 0
+        self.path, self.received, self.notes = Path(path), 0, 0
         self._id, self._blocks, self._size = int.from_bytes(os.urandom(4)), 0, 0
         # The clock of the day may be set while we record, so it is read once.
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self._failure: Exception | None = None
-        self._closing = threading.Event()
+        self._closing, self._turn = threading.Event(), threading.Lock()
         # Killed before its first block it leaves no file of that name, rather than an empty one.
         with whole(self.path, "the recording") as part:
             self._file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
@@ -104,6 +108,13 @@ class Writer:
         """Mark that the port was opened again: what comes next need not follow what came before."""
         self._append(b"O", unix_ns, b"")
 
+    def note(self, unix_ns: int, text: str) -> None:
+        """Append what a person noted at a time [ns since 1970]; any thread may."""
+        must = f"1 to {MOST_LETTERS} letters without control characters, no space around them"
+        require(text and text == plain(text), "note", "the recording", must, repr(text))
+        self._append(b"N", unix_ns, text.encode())
+        self.notes += 1
+
     def close(self, end: Json | None = None) -> None:
         """Write the end, wait for the disk, close; may be called again."""
         if self._closing.is_set():
@@ -121,23 +132,24 @@ class Writer:
                 self.path.unlink(missing_ok=True)
 
     def _append(self, kind: bytes, unix_ns: int, content: bytes) -> None:
-        head = _HEAD.pack(_MAGIC, kind, self._id, self._blocks, len(content), unix_ns)
-        block = head + _CRC.pack(crc32(content, crc32(head))) + content
-        try:
-            if self._failure:
-                raise self._failure
-            done = 0
-            while done < len(block):
-                done += os.write(self._file, block[done:])
-        except OSError as error:
-            self._failure = error
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, self._size)
-            failed = OSError(f"Writing {self.path} failed: {error.strerror}. What came before is kept.")
-            failed.errno = error.errno
-            raise failed from error
-        self._size += len(block)
-        self._blocks += 1
+        with self._turn:
+            head = _HEAD.pack(_MAGIC, kind, self._id, self._blocks, len(content), unix_ns)
+            block = head + _CRC.pack(crc32(content, crc32(head))) + content
+            try:
+                if self._failure:
+                    raise self._failure
+                done = 0
+                while done < len(block):
+                    done += os.write(self._file, block[done:])
+            except OSError as error:
+                self._failure = error
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._file, self._size)
+                failed = OSError(f"Writing {self.path} failed: {error.strerror}. What came before is kept.")
+                failed.errno = error.errno
+                raise failed from error
+            self._size += len(block)
+            self._blocks += 1
 
     def _keep_in_sync(self) -> None:
         """Ask the disk apart from the reader, who must not wait for it; the next block raises a failure."""
@@ -152,11 +164,24 @@ class Writer:
                 synced = size
 
 
+class Note(NamedTuple):
+    """What a person noted while it was recorded; ``time_s`` [s] is from the first sample."""
+
+    time_s: float
+    text: str
+
+
+def plain(text: str) -> str:
+    """Return a text as a note may be: no control characters, not too long."""
+    return "".join(x if x.isprintable() else " " for x in text).strip()[:MOST_LETTERS].strip()
+
+
 class Recording(NamedTuple):
     """A recording as it was read.
 
     ``arrived`` are times since 1970 [s]. ``times`` [s] begin at 0, which was at ``unix_s``. They are the board's, if
     it sends any, on the computer's clock; else those of arrival, with samples that came together spread before it.
+    ``notes`` are in the order of time; where there is no sample, their times are from the first block.
     """
 
     path: Path
@@ -170,6 +195,7 @@ class Recording(NamedTuple):
     units: tuple[str, ...]
     counters: dict[str, int]
     remarks: tuple[str, ...]
+    notes: Sequence[Note] = ()
 
 
 def read_recording(path: str | Path, *, format: str | None = None, channels: int | None = None) -> Recording:
@@ -190,7 +216,8 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     if not given:
         said, n = about.get("format"), about.get("channels")
         format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
-    parser = Parser(format or None, channels)
+    parser, began = Parser(format or None, channels), next(iter(blocks.values())).unix_ns / 1e9
+    noted = _noted(blocks, remarks)
     samples, arrived = _parsed(blocks, parser)
     if (format or channels) and not (samples or given):
         stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
@@ -200,9 +227,12 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
             return found._replace(remarks=(*found.remarks, other))
     remarks += parser.remarks
     times, unix_s = _times(samples, arrived, remarks)
+    notes = sorted(Note(ns / 1e9 - (unix_s if samples else began), text) for ns, text in noted)
+    if samples and (early := sum(note.time_s < 0 for note in notes)):
+        remarks.append(f"notes from before the first sample, with times below zero: {early}")
     return Recording(
         path, about, samples, arrived, times, unix_s, parser.format, parser.names, parser.units, {**parser.counters},
-        tuple(remarks),
+        tuple(remarks), notes,
     )  # fmt: skip
 
 
@@ -218,9 +248,11 @@ def _undamaged(path: Path, remarks: list[str]) -> list[_Block]:
     """Return the whole blocks of one recording, each once, in the order of the file."""
     data = path.read_bytes()
     found = list(_blocks(data))
-    must = "a recording with a whole block (it begins with RRB2)"
-    earlier = "one of an earlier edition (version 1.0 reads it, and repro export writes it as a table)"
-    require(found or not data.startswith(b"RRB1"), "file", path.name, must, earlier)
+    must = "a recording with a whole block (it begins with RRB3 or RRB2)"
+    other = "one of a later edition (a newer version of repro reads it)"
+    if data.startswith(b"RRB1"):
+        other = "one of an earlier edition (version 1.0 reads it, and repro export writes it as a table)"
+    require(found or not _ANOTHER.match(data), "file", path.name, must, other)
     require(found, "file", path.name, must, f"{len(data)} bytes without one")
     if damaged := len(data) - sum(_HEAD.size + _CRC.size + len(block.content) for block in found):
         remarks.append(f"bytes that are damaged or cut off, and left out: {damaged}")
@@ -234,17 +266,15 @@ def _undamaged(path: Path, remarks: list[str]) -> list[_Block]:
 
 
 def _blocks(data: bytes) -> Iterator[_Block]:
-    view, at = memoryview(data), data.find(_MAGIC)
-    while 0 <= at <= len(data) - _HEAD.size - _CRC.size:
-        (_, kind, recording, number, size, unix_ns), begin = (
-            _HEAD.unpack_from(data, at),
-            at + _HEAD.size + _CRC.size,
-        )
+    view, magic = memoryview(data), _KNOWN.search(data)
+    while magic and magic.start() <= len(data) - _HEAD.size - _CRC.size:
+        at, begin = magic.start(), magic.start() + _HEAD.size + _CRC.size
+        _, kind, recording, number, size, unix_ns = _HEAD.unpack_from(data, at)
         fits = size <= MOST_BYTES and begin + size <= len(data)
         found = crc32(view[begin : begin + size], crc32(view[at : at + _HEAD.size])) if fits else -1
         if undamaged := found == _CRC.unpack_from(data, begin - _CRC.size)[0]:
             yield _Block(kind, recording, number, unix_ns, data[begin : begin + size])
-        at = data.find(_MAGIC, begin + size if undamaged else at + 1)
+        magic = _KNOWN.search(data, begin + size if undamaged else at + 1)
 
 
 def _in_order(blocks: list[_Block], name: str, remarks: list[str]) -> dict[int, _Block]:
@@ -260,6 +290,15 @@ def _in_order(blocks: list[_Block], name: str, remarks: list[str]) -> dict[int, 
     if kept[last].kind != b"E":
         remarks.append(f"{name} has no end: the recorder still runs or was killed, or the file was cut")
     return kept
+
+
+def _noted(blocks: dict[int, _Block], remarks: list[str]) -> list[tuple[int, str]]:
+    """Return the notes with their times [ns since 1970]; what another program put in is made readable, and told."""
+    notes = [block for block in blocks.values() if block.kind == b"N"]
+    texts = [plain(note.content.decode(errors="replace")) for note in notes]
+    if odd := sum(text.encode() != note.content or not text for text, note in zip(texts, notes, strict=True)):
+        remarks.append(f"notes that are damaged, empty or too long, and cut to what is readable: {odd}")
+    return [(note.unix_ns, text) for text, note in zip(texts, notes, strict=True) if text]
 
 
 def _parsed(blocks: dict[int, _Block], parser: Parser) -> tuple[list[Sample], Array]:

@@ -17,6 +17,7 @@ from scipy.stats import chi2 as chi_square
 from repro.common import Array, require, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
+from repro_board.record import Note
 
 _COVERED = 0.95
 
@@ -159,8 +160,18 @@ def _coverage(error: Array, covariance: Array | None, dof: int) -> dict[str, flo
     return {"coverage": 100 * float((score <= limit).mean()), "grown": grown}
 
 
-def picture(frames: Mapping[str, pd.DataFrame], units: Sequence[tuple[str, str, float]]) -> bytes:
-    """Draw measured and estimated coordinates, and the error of the tip, over time."""
+def notes_in_words(notes: Sequence[Note]) -> list[str]:
+    """Return what was noted, a line for each note, with its number in the picture."""
+    lines = [f"{k:4} {note.time_s:9.2f}  {note.text}" for k, note in enumerate(notes, 1)]
+    return ["Notes with their times [s], numbered as in estimates.png:", *lines] if lines else []
+
+
+def picture(
+    frames: Mapping[str, pd.DataFrame],
+    units: Sequence[tuple[str, str, float]],
+    notes: Sequence[Note] = (),
+) -> bytes:
+    """Draw measured and estimated coordinates, and the error of the tip, over time, and numbers of notes."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
@@ -176,6 +187,12 @@ def picture(frames: Mapping[str, pd.DataFrame], units: Sequence[tuple[str, str, 
                     ax.plot(frame["time_s"], frame[f"{quantity}_{unit}" if unit else quantity], **look)
             away = np.linalg.norm(frame[tip].to_numpy() - frames["measured"][tip].to_numpy(), axis=1)
             axes[-1].semilogy(frame["time_s"], np.where(away > 0, away, np.nan), **look)
+        begin, end = frames["measured"]["time_s"].iloc[[0, -1]]
+        there = [(k, note.time_s) for k, note in enumerate(notes, 1) if begin <= note.time_s <= end]
+        for k, time_s in there:
+            axes[0].annotate(k, (time_s, 1.02), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
+            for ax in axes:
+                ax.axvline(time_s, color="0.3", lw=0.8, ls="--")
         axes[-1].set(xlabel="time of the readings [s]", ylabel="error of the tip\n[mm]")
         figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
         picture = io.BytesIO()

@@ -45,10 +45,12 @@ from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.steps import Step, Steps
 from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
-from repro_board.wire import Parser
+from repro_board.wire import Parser, is_text, raw
 
 MOST_BYTES = 65536
 """Bytes taken from a port at once."""
+LET_GO, UPLOAD_S = "let go of, for an upload of firmware", 30.0
+"""Why a port is away that was let go of, and for how long it is [s]."""
 BURST, LOOK_S, SHAPES = 64, 0.05, 200
 """Rows of an alarm that the monitor sees at once; afterwards it looks once in so many seconds [s]; shapes for which
 what a calibration left open is known beforehand."""
@@ -61,7 +63,7 @@ SWITCH_S = 5e-4
 
 
 class Port:
-    """A serial port or a socket that is opened again, as often as it must, whenever it is lost.
+    """A serial port or a socket that is opened again, as often as it must, whenever it is lost or was let go of.
 
     ``opened`` counts how often it was opened; ``lost`` says why it is away, and is empty while it is there.
     """
@@ -70,11 +72,23 @@ class Port:
         self.address, self.baud = address, baud
         self._line = _open(address, baud)
         self.opened, self.lost = 1, ""
-        self._wait_s = self._due = 0.0
+        self._wait_s = self._due = self._free_until = 0.0
+
+    @property
+    def free_s(self) -> float:
+        """For how long others may have it still [s]."""
+        return max(0.0, self._free_until - time.monotonic())
+
+    def let_go(self) -> None:
+        """Let others have the port for a while, or take it back at once; any thread may ask for that."""
+        self._free_until = 0.0 if self.free_s else time.monotonic() + UPLOAD_S
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived; nothing after the time, or where the port had to be opened again."""
         try:
+            if self.free_s and not self.lost:
+                self.lost, self._due = LET_GO, 0.0
+                self.close()
             if self.lost:
                 self._reopen(timeout_s)
             elif select.select([self._line], [], [], timeout_s)[0]:
@@ -92,8 +106,8 @@ class Port:
         return b""
 
     def _reopen(self, timeout_s: float) -> None:
-        time.sleep(min(timeout_s, max(0.0, self._due - time.monotonic())))
-        if time.monotonic() >= self._due:
+        time.sleep(min(timeout_s, max(self.free_s, self._due - time.monotonic(), 0.0)))
+        if not self.free_s and time.monotonic() >= self._due:
             self._line = _open(self.address, self.baud)
             self.opened, self.lost = self.opened + 1, ""
 
@@ -141,7 +155,20 @@ def ports() -> str:
 BY_BOUNDS = 0.9 / math.sqrt(12)
 """Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
 _DAMAGED = ("checksum_errors", "malformed", "oversized")
+BOOT_TEXT = "It is text, but not of the form that is expected: a board may say so that it has started."
 _ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
+
+
+def no_readings(lost: str, silent: object, received: int, unread: object, why: str) -> str:
+    """Return why a port gives no readings, in a sentence; nothing if it does. ``why`` is what is known of bytes."""
+    causes = {
+        f"The port is {LET_GO}.": lost == LET_GO,
+        "The port is gone; we wait until it is there again.": lost,
+        "Nothing arrives yet. Is the board powered and programmed? Reset it.": silent and not received,
+        "Nothing arrives any more. Has the board lost its power or its wires?": silent,
+        f"Bytes arrive, but no readings. {why}": unread,
+    }
+    return next((text for text, holds in causes.items() if holds), "")
 
 
 class Follower:
@@ -420,6 +447,7 @@ def moment(session: Session, made_s: float) -> Moment:
     return Moment(
         made_s, in_numbers(session), tuple(summary(session).items()), sentences(session), notes(session),
         not age_s and status in TRUSTED, doubt, doubtful, age_s, row, shape,
+        raw(session.parser.last) if _of_the_wire(session) else "",
     )  # fmt: skip
 
 
@@ -439,16 +467,12 @@ def _of_the_wire(session: Session) -> str:
     counts, (recent, _) = session.counters(), session.recent()
     late, why = time.monotonic() - session.began > SILENT_S, session.cause() or _ASK
     quiet = session.silent_s > max(SILENT_S, session.apart_s)
-    causes = {
-        "The port is gone; we wait until it is there again.": session.lost,
-        "Nothing arrives yet. Is the board powered and programmed? Reset it.": late and not counts["bytes"],
-        "Nothing arrives any more. Has the board lost its power or its wires?": counts["bytes"] and quiet,
-        f"Bytes arrive, but no readings. {why}": late and recent["bytes"] and not recent["frames"],
-        f"What arrives does not fit this robot. {why}": (
-            late and recent["frames"] and not recent["estimates"]
-        ),
-    }
-    return next((text for text, holds in causes.items() if holds), "")
+    silent = quiet if counts["bytes"] else late
+    unread = late and recent["bytes"] and not recent["frames"]
+    another = late and recent["frames"] and not recent["estimates"]
+    known = session.cause() or (BOOT_TEXT if is_text(session.parser.last) else _ASK)
+    wrong = no_readings(session.lost, silent, counts["bytes"], unread, known)
+    return wrong or (f"What arrives does not fit this robot. {why}" if another else "")
 
 
 def _of_the_pace(session: Session) -> list[str]:

@@ -230,6 +230,8 @@ class Moment(NamedTuple):
     """Time [s], readings, and these less what the estimate predicts, in units of the noise."""
     shape: Json | None
     """What the viewer of the page draws; None where there is no page."""
+    raw: str = ""
+    """The last bytes as text and in hex, where they are no readings."""
 
 
 UNKNOWN = Moment(0.0, ("not known",), (), (), (), False, "old", (), 0.0, None, None)
@@ -464,6 +466,7 @@ def _fields(seen: Moment) -> Json:
         "numbers": seen.numbers,
         "summary": dict(seen.summary),
         "alarms": seen.alarms,
+        "raw": seen.raw,
         "notes": seen.notes,
         "suspects": seen.suspects,
     }

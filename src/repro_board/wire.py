@@ -513,6 +513,19 @@ def text_line(values: ArrayLike, format: str, stream: int = 0) -> bytes:
 # ----------------------------------------------------------------------------------------------------------- parser
 _UNKNOWN_BYTES = 4096
 """After so many bytes without a frame or lines of one form, that is said."""
+_LAST = 32
+"""Bytes that a parser keeps, for a person to look at."""
+
+
+def raw(data: bytes) -> str:
+    """Return bytes as text, with a dot for what is none, and in a second line in hex; nothing for no bytes."""
+    text = "".join(chr(x) if 32 <= x < 127 else "." for x in data)
+    return f"The last {len(data)} bytes as text: {text}\nin hex: {data.hex(' ')}" if data else ""
+
+
+def is_text(data: bytes) -> bool:
+    """Return whether nearly all bytes are printed: with a wrong rate they would not be."""
+    return sum(32 <= x < 127 or x in b"\t\r\n" for x in data) > 0.9 * len(data)
 
 
 class Parser:
@@ -534,6 +547,8 @@ class Parser:
         Of the values, if header or labels say them.
     counters
         Samples, and what was dropped: the page "Wire formats" explains each.
+    last
+        The last bytes, whatever they are.
     remarks
         What a user should know, one sentence each.
 
@@ -559,7 +574,7 @@ class Parser:
         frames = [_Frames(channels)] if format in (None, "frames") else []
         lines = [_Lines(format, channels)] if format != "frames" else []
         self._readers: list[_Frames | _Lines] = [*frames, *lines]
-        self._given = format
+        self._given, self.last = format, b""
         self._take(self._readers[-1])
 
     def _take(self, reader: _Frames | _Lines) -> None:
@@ -569,6 +584,7 @@ class Parser:
     def feed(self, data: bytes) -> list[Sample]:
         """Take the next bytes; return the samples that they complete, in order."""
         found: list[Sample] = []
+        self.last = (self.last + data[-_LAST:])[-_LAST:]
         for reader in self._readers:
             if found := reader.feed(data):
                 if isinstance(

@@ -42,6 +42,7 @@ def folder(tmp_path_factory) -> Path:
                 if time_s > seconds:
                     break
                 writer.write(round(1e9 * time_s), data)
+            writer.note(round(20e9), "load on")
     times = np.arange(0.0, 30.0, 0.025)
     q = 1e3 * emulate.course(robot, times, seed=SEED)
     q += 0.05 * np.random.default_rng(SEED).standard_normal(q.shape)  # a fixed coordinate is measured, too
@@ -111,6 +112,11 @@ def test_from_a_robot_file_to_an_evaluation(folder, monkeypatch, capsys):
     lag_ms = re.search(r"Lag: (\S+) ± ", capsys.readouterr().out)
     assert lag_ms is not None
     assert float(lag_ms[1]) == pytest.approx(-700, abs=3)
+    noted = re.search(
+        r"^ +1 +(\S+)  load on$", Path("evaluated/report.txt").read_text(encoding="utf-8"), re.M
+    )
+    assert noted is not None
+    assert float(noted[1]) == pytest.approx(20.0, abs=0.05)
     assert {path.name for path in Path("evaluated").iterdir()} >= {
         "report.txt",
         "errors.csv",

@@ -24,6 +24,7 @@ from repro_board.evaluate import (
     track_file,
 )
 from repro_board.lag import Signal, fine_lag, search_lag
+from repro_board.record import Note
 
 DATA = Path(__file__).parent / "data"
 RAW = DATA / "robot_raw.toml"
@@ -450,6 +451,23 @@ def test_what_is_no_one_motion_or_no_one_lag_is_refused(good, tmp_path):
     with pytest.raises(InputError, match="alike at one lag only.*--longest-lag.*and elsewhere too"):
         evaluate_files(u, circle, path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_note_is_marked_in_the_picture_if_it_is_of_its_time():
+    """By its number, as a note may be long, and its letters may be missing in the font."""
+    rows = np.arange(10.0)
+    columns = ("time_s", "bend_deg", *(f"tip_{axis}_mm" for axis in "xyz"))
+    frames = {"measured": pd.DataFrame(dict.fromkeys(columns, rows))}
+    plain, *marked = (
+        report.picture(frames, [("bend", "deg", 1.0)], notes)
+        for notes in ([], [Note(-1.0, "a")], [Note(4.0, "$x")], [Note(11.0, "b"), Note(4.0, "$x")])
+    )
+    assert marked[0] == plain
+    assert len({plain, *marked[1:]}) == 3
+    assert report.notes_in_words([Note(4.0, "$x"), Note(123.456, "load on")])[1:] == [
+        "   1      4.00  $x",
+        "   2    123.46  load on",
+    ]
 
 
 def test_what_is_missing_in_every_row_is_named(good, tmp_path):

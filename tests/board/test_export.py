@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from mcap.reader import make_reader
 
 from repro import ConstantCurvature, InputError, Robot, Sensor
 from repro_board.export import export, table_of
-from repro_board.record import Writer, read_recording
+from repro_board.record import Writer, read_recording, readings_of
 from repro_board.wire import encode
 
 START_S = 1_700_000_000
@@ -128,6 +129,28 @@ def test_mcap_has_readings_and_estimates_in_the_order_of_time(recording, tmp_pat
         for name, kind in (("time_s", "number"), ("tip_x_mm", "number"), ("status", "string"))
     }
     assert about == {"port": '"a board"'}
+
+
+def test_notes_are_in_the_row_nearest_in_time_and_messages_of_their_own(tmp_path):
+    robot, path = Robot([ConstantCurvature(0.1, 0.02)], sensors=[Sensor(1, 0.05, axes=3)]), tmp_path / "a.rec"
+    with closing(Writer(path, {"port": "a board"})) as writer:
+        for k, u in enumerate(U):
+            writer.write(START_S * 10**9 + k * 20_000_000, encode(u, 0, k, 20_000 * k))
+        for time_ms, text in ((-500, "early"), (108, "load on"), (92, 'a "quoted", word'), (9000, "late")):
+            writer.note(START_S * 10**9 + time_ms * 1_000_000, text)
+    expected = {0: "early", 5: 'a "quoted", word; load on', 39: "late"}
+    for name, options in (("a.csv", {}), ("b.csv", {"robot": robot})):
+        export(path, tmp_path / name, **options)
+        table = pd.read_csv(tmp_path / name)
+        assert table["note"].dropna().to_dict() == expected
+        np.testing.assert_array_equal(readings_of(robot, tmp_path / name), U)
+    export(path, tmp_path / "a.mcap")
+    found, _ = messages(tmp_path / "a.mcap")
+    notes = [(time_ns, content) for topic, time_ns, content, _ in found if topic == "/notes"]
+    assert [content["text"] for _, content in notes] == ["early", 'a "quoted", word', "load on", "late"]
+    assert abs(notes[2][0] - (START_S * 10**9 + 108_000_000)) < 1000
+    assert len(found) == 40 + 4
+    assert not any("note" in content for topic, _, content, _ in found if topic != "/notes")
 
 
 def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_path):

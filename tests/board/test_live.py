@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from rich.console import Console
 
 import repro
 from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
@@ -41,7 +42,7 @@ from repro_board.session import (
     summary,
 )
 from repro_board.view import FILES, MOST_PAGES, PageServer, message
-from repro_board.wire import encode
+from repro_board.wire import encode, raw
 from tests.board.waiting import until
 
 RATE_HZ = 1000.0
@@ -265,6 +266,10 @@ CASES = {
         lambda: session_of([bytes(range(1, 256)) * 4], format="frames", since_s=2),
         "Bytes arrive, but no readings. Is --baud",
     ),
+    "what a board says when it starts": (
+        lambda: session_of([b"rst:0x1 (POWERON_RESET),boot:0x13"], format="frames", since_s=2),
+        "Bytes arrive, but no readings. It is text, but not of the form that is expected",
+    ),
     "text on a port of frames": (
         lambda: session_of(text(20), format="frames", since_s=2),
         "no readings. Text arrives",
@@ -298,9 +303,22 @@ def test_what_is_wrong_is_said(case):
     assert any(words in text for text in found), found
 
 
+def test_the_last_bytes_are_shown_where_they_are_no_readings():
+    """On the terminal and on the page; 32 of them, however they arrived."""
+    session = session_of([b"x" * 99, b"ets Jul 29 2019\r\n", b"boot: \x1b\xff"], format="frames", since_s=2)
+    kept = b"x" * 7 + b"ets Jul 29 2019\r\nboot: \x1b\xff"
+    shown = f"The last 32 bytes as text: xxxxxxxets Jul 29 2019..boot: ..\nin hex: {kept.hex(' ')}"
+    assert message(session.moment)["raw"] == shown
+    console = Console(file=io.StringIO(), width=200)
+    console.print(module.terminal(session.moment))
+    assert shown in console.file.getvalue()
+    assert message(session_of(since_s=2).moment)["raw"] == ""
+
+
 def test_all_is_well_and_nothing_is_said():
     session = session_of(sent(U[:100]))
     assert said(session) == []
+    assert session.moment.raw == ""
     assert summary(session)["fit"].startswith("consistent, residuals ")
     assert in_numbers(session)[0].startswith("tip x ")
     assert in_numbers(session)[3].endswith(" mm")
@@ -607,7 +625,8 @@ def test_a_moment_that_cannot_be_made_says_so_and_the_session_goes_on(monkeypatc
     session.moment = session.look()
     failed = "The view has failed, and the session goes on without it (ZeroDivisionError: division by zero)."
     assert message(session.moment) == {
-        "doubt": "old", "numbers": ("not known",), "summary": {}, "alarms": (failed,), "notes": (), "suspects": (),
+        "doubt": "old", "numbers": ("not known",), "summary": {}, "alarms": (failed,), "raw": "", "notes": (),
+        "suspects": (),
     }  # fmt: skip
     session.inbox.put((time.monotonic(), sent(U[:51])[-1]))
     session.turn()
@@ -649,7 +668,10 @@ async def cut_off(server) -> None:
 @pytest.mark.slow
 def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
     session = session_of(sent(faulty(U[:400], "unplugged", 2, since=200)))
-    session.moment = session.moment._replace(made_s=time.monotonic() + 60)  # and it goes on like this
+    raw_bytes = raw(bytes(range(50, 82)))
+    session.moment = session.moment._replace(
+        made_s=time.monotonic() + 60, raw=raw_bytes
+    )  # and it goes on like this
     with PageServer(session) as server:
         opened = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
         page = opened.new_page()
@@ -660,6 +682,7 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         page.wait_for_selector("#numbers li")
         page.wait_for_selector("#alarms p")
         assert page.inner_text("#alarms p") == LEFT
+        assert page.inner_text("#raw") == raw_bytes
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         canvas = page.locator("#shape canvas")

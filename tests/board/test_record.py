@@ -26,6 +26,8 @@ from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
 from repro_board import live as module
 from repro_board.live import record
 from repro_board.record import (
+    MOST_LETTERS,
+    Note,
     Writer,
     arrival_times,
     board_times,
@@ -53,9 +55,9 @@ def written(path: Path, parts: list[bytes], step_ns: int = 10**7) -> Path:
     return path
 
 
-def block_of(kind: bytes, number: int, content: bytes, identity: int = 5) -> bytes:
+def block_of(kind: bytes, number: int, content: bytes, magic: bytes = b"RRB2") -> bytes:
     """A block, by the table at the head of the module."""
-    head = struct.pack("<4sc3xIIIq", b"RRB2", kind, identity, number, len(content), START)
+    head = struct.pack("<4sc3xIIIq", magic, kind, 5, number, len(content), START)
     return head + struct.pack("<I", zlib.crc32(head + content)) + content
 
 
@@ -70,6 +72,8 @@ def test_the_bytes_are_those_of_the_table(tmp_path_factory, parts, again):
         if again[k]:
             writer.opened(START + k)
         writer.write(START + k, part)
+        if again[-1]:
+            writer.note(START + k, f"Grüße {k}")
     writer.close({"samples": 3})
     if not any(parts):
         assert not path.exists()
@@ -79,7 +83,7 @@ def test_the_bytes_are_those_of_the_table(tmp_path_factory, parts, again):
         magic, kind, identity, number, size, unix_ns = struct.unpack_from("<4sc3xIIIq", data, at)
         content = data[at + 32 : at + 32 + size]
         assert struct.unpack_from("<I", data, at + 28)[0] == zlib.crc32(data[at : at + 28] + content)
-        assert (magic, number, identity) == (b"RRB2", len(found), struct.unpack_from("<I", data, 8)[0])
+        assert (magic, number, identity) == (b"RRB3", len(found), struct.unpack_from("<I", data, 8)[0])
         found.append((kind, unix_ns, content))
         at += 32 + size
     assert (found[0][0], json.loads(found[0][2])) == (b"A", {"port": "COM3"})
@@ -87,6 +91,7 @@ def test_the_bytes_are_those_of_the_table(tmp_path_factory, parts, again):
     expected = []
     for k, part in enumerate(parts):
         expected += [(b"O", START + k, b"")] * again[k] + [(b"B", START + k, part)] * bool(part)
+        expected += [(b"N", START + k, f"Grüße {k}".encode())] * again[-1]
     assert found[1:-1] == expected
 
 
@@ -209,6 +214,70 @@ def test_a_recorder_killed_before_its_first_block_leaves_no_file_of_that_name(tm
     monkeypatch.undo()
     assert not (tmp_path / "a.rec").exists()
     assert len(read_recording(written(tmp_path / "a.rec", frames(range(9)))).samples) == 9
+
+
+# -------------------------------------------------------------------------------------------------------- notes
+TEXTS = st.text(min_size=1, max_size=MOST_LETTERS).filter(
+    lambda text: text.isprintable() and text == text.strip()
+)
+
+
+@settings(max_examples=30)
+@given(st.lists(st.tuples(TEXTS, st.integers(-(10**10), 10**10)), max_size=5))
+def test_notes_are_read_as_they_were_written_with_their_times(tmp_path_factory, notes):
+    path = tmp_path_factory.mktemp("n") / "a.rec"
+    with contextlib.closing(Writer(path, {})) as writer:
+        for k, frame in enumerate(frames(range(30), 10_000)):
+            writer.write(START + 10**7 * k, frame)
+        for text, after_ns in notes:
+            writer.note(START + after_ns, text)
+    recording, after = read_recording(path), sorted((ns / 1e9, text) for text, ns in notes)
+    np.testing.assert_allclose([note.time_s for note in recording.notes], [s for s, _ in after], atol=1e-6)
+    assert sorted(note.text for note in recording.notes) == sorted(text for text, _ in notes)
+    early = sum(note.time_s < 0 for note in recording.notes)
+    assert recording.remarks == (
+        (f"notes from before the first sample, with times below zero: {early}",) * bool(early)
+    )
+    assert len(recording.samples) == 30
+
+
+@pytest.mark.parametrize(
+    "text", ["", " load", "on\n", "\x1b[2J", "x" * (MOST_LETTERS + 1), "\udc80", "a\u202eb"]
+)
+def test_a_note_that_cannot_be_shown_is_refused_and_repaired_where_another_program_wrote_it(tmp_path, text):
+    message, writer = "note of the recording must be 1 to 200 letters without", Writer(tmp_path / "a.rec", {})
+    with contextlib.closing(writer), pytest.raises(InputError, match=message):
+        writer.note(START, text)
+    content = text.encode(errors="surrogateescape")
+    blocks = [block_of(b"A", 0, b"{}", b"RRB3"), block_of(b"B", 1, b"".join(frames(range(3))), b"RRB3")]
+    (tmp_path / "b.rec").write_bytes(b"".join([*blocks, block_of(b"N", 2, content, b"RRB3")]))
+    recording = read_recording(tmp_path / "b.rec")
+    assert "notes that are damaged, empty or too long, and cut to what is readable: 1" in recording.remarks
+    assert all(note.text.isprintable() and 0 < len(note.text) <= MOST_LETTERS for note in recording.notes)
+    assert len(recording.notes) == bool(text)
+
+
+def test_notes_without_a_sample_have_their_times_from_the_first_block(tmp_path):
+    (tmp_path / "a.rec").write_bytes(block_of(b"A", 0, b"{}", b"RRB3") + block_of(b"N", 1, b"on", b"RRB3"))
+    assert read_recording(tmp_path / "a.rec").notes == [Note(0.0, "on")]
+
+
+def test_an_edition_without_notes_is_read_and_a_later_one_refused_in_words(tmp_path):
+    content = b"".join(frames(range(9)))
+    for magic in (b"RRB2", b"RRB3", b"RRB4"):
+        blocks = [
+            block_of(b"A", 0, b"{}", magic),
+            block_of(b"B", 1, content, magic),
+            block_of(b"E", 2, b"{}", magic),
+        ]
+        (tmp_path / magic.decode()).write_bytes(b"".join(blocks))
+    for name in ("RRB2", "RRB3"):
+        recording = read_recording(tmp_path / name)
+        assert (len(recording.samples), recording.notes, recording.remarks) == (9, [], ())
+    with pytest.raises(
+        InputError, match=r"file of RRB4 .* received one of a later edition \(a newer version"
+    ):
+        read_recording(tmp_path / "RRB4")
 
 
 # ----------------------------------------------------------------------------------------------- what is damaged

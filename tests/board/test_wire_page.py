@@ -26,12 +26,34 @@ static struct {
   void begin(long) {}
   size_t write(const uint8_t *data, size_t size) { return fwrite(data, 1, size, stdout); }
 } Serial;
-enum { A0, A1, A2 };
-inline int analogRead(int pin) { return pin == 2 ? 0 : 512 + 256 * pin; }
 static uint32_t now = 4294960000ul;
-static uint32_t micros() { return now += 7; }
+static inline uint32_t micros() { return now += 7; }
 """
-"""A board that is made up: its third input reads nothing, and its clock wraps."""
+WIRE = """
+#include <stdint.h>
+static const int16_t COUNTS[2][3] = {{1000, -2000, 3}, {-32768, 16384, 32767}};
+static bool unplugged = false;
+static struct {
+  uint8_t registers[2][256], address = 0, at = 0, left = 0, sent = 0;
+  int chip() { return address == 0x35 ? 0 : address == 0x22 && !unplugged ? 1 : -1; }
+  void begin() {}
+  void setClock(long) {}
+  void beginTransmission(uint8_t to) { address = to; sent = 0; }
+  void write(uint8_t byte) {
+    if (sent++ == 0) at = byte; else if (chip() >= 0) registers[chip()][at++] = byte;
+  }
+  uint8_t endTransmission(bool = true) { return chip() >= 0 ? 0 : 2; }
+  uint8_t requestFrom(uint8_t from, uint8_t n) { address = from; return left = chip() >= 0 ? n : 0; }
+  int read() {
+    const uint8_t *own = registers[chip()];
+    const bool measures = own[0] == 0x14 && (own[1] & 3) == 2 && own[2] >> 4 == 7 && own[3] == 0;
+    const int k = at++ - 0x12;
+    if (left-- == 0 || k < 0 || k > 5 || !measures) return 0;
+    return COUNTS[chip()][k / 2] >> (k % 2 ? 0 : 8) & 0xff;
+  }
+} Wire;
+"""
+"""A board that is made up: its clock wraps, and two chips on its bus measure once their registers are set."""
 
 
 def compiler(*names: str) -> str:
@@ -91,21 +113,25 @@ def test_the_encoder_in_c_refuses_what_does_not_fit(encode_in_c):
 
 
 def test_the_sketch_sends_frames(tmp_path):
-    """Three readings, one of them missing, every 10 ms, also where the clock wraps."""
+    """Six readings every 10 ms, also where the clock wraps; a chip is unplugged, and comes back without settings."""
     for name in ("frame_encoder.c", "frame_encoder.h"):
         shutil.copy(FIRMWARE / name, tmp_path)
     sketch = (FIRMWARE / "firmware.ino").read_text(encoding="utf-8")
-    source = ARDUINO + sketch + "int main() { setup(); for (int i = 0; i < 5; i++) loop(); return 0; }\n"
-    (tmp_path / "sketch.cpp").write_text(source, encoding="utf-8")
-    sources = ["sketch.cpp", "-x", "c++", "frame_encoder.c", "-o", "sketch"]
-    build = [compiler("c++", "g++", "clang++"), "-Wall", "-Wextra", "-Werror", *sources]
+    cases = "if (i == 4) Wire.registers[1][1] = 0; unplugged = i == 3 || i == 4;"
+    run = f"int main() {{ setup(); for (int i = 0; i < 8; i++) {{ {cases} loop(); }} return 0; }}\n"
+    for name, text in (("Wire.h", WIRE), ("sketch.cpp", ARDUINO + sketch + run)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    sources = ["-I.", "sketch.cpp", "-x", "c++", "frame_encoder.c", "-o", "sketch"]
+    build = [compiler("c++", "g++", "clang++"), "-std=c++11", "-Wall", "-Wextra", "-Werror", *sources]
     subprocess.run(build, cwd=tmp_path, check=True, timeout=60)
     sent = subprocess.run([str(tmp_path / "sketch")], capture_output=True, check=True, timeout=60).stdout
     samples = wire.Parser("frames").feed(sent)
-    assert [sample.sequence for sample in samples] == [0, 1, 2, 3, 4]
+    assert [sample.sequence for sample in samples] == list(range(8))
     np.testing.assert_allclose(np.diff([sample.time_us for sample in samples]), 10_000, atol=10)
-    mt = 256 * 5000 / 1024 / 100
-    np.testing.assert_allclose([sample.values for sample in samples], [[0.0, mt, math.nan]] * 5, rtol=1e-6)
+    one, two = [1000 * 40e3 / 32768, -2000 * 40e3 / 32768, 3 * 40e3 / 32768], [math.nan, 20e3, math.nan]
+    expected = np.array([[*one, *two]] * 8)  # in µT; the ends of the range are no readings
+    expected[3:6, 3:] = math.nan
+    np.testing.assert_allclose([1e3 * sample.values for sample in samples], expected, rtol=1e-6)
 
 
 def test_the_examples_of_the_page_are_what_is_written():

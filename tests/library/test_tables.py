@@ -531,6 +531,17 @@ def test_a_merged_line_without_names_is_damaged_not_the_others(tmp_path):
     assert table.remarks[-1] == "1 of 40 lines of mine.csv is damaged and left out (the first: line 21)."
 
 
+@given(st.lists(st.sampled_from(["", "load on", "5", "tip; bent"]), min_size=40, max_size=60))
+def test_a_column_of_notes_costs_no_row(tmp_path_factory, notes):
+    """Wherever they stand, and if some of them are numbers, as long as others are not."""
+    texts = sum(note not in ("", "5") for note in notes)
+    notes = [note if note != "5" or notes[:k].count("5") < texts else "" for k, note in enumerate(notes)]
+    rows = [f"{k / 10},{k}.5,{note}" for k, note in enumerate(notes)]
+    table = read_table(written(tmp_path_factory.mktemp("n"), "\n".join(["time_s,u1_mT,note", *rows]) + "\n"))
+    np.testing.assert_array_equal(table.values[:, 0], np.arange(len(notes)) + 0.5)
+    assert table.remarks == ()
+
+
 @pytest.mark.parametrize("cells", [["OK", "OVR", "low"], ["True", "False", "True"], ["0x00", "0x1f", "0xab"]])
 def test_a_column_without_numbers_is_refused_when_it_is_used(tmp_path, cells):
     """Above the names there is text, too."""

@@ -124,6 +124,7 @@ function begin(scene) {
     fill(byId("numbers"), now.numbers.map((text) => text.replace(" -", " −")));
     fill(byId("notes"), now.notes);
     fill(byId("alarms"), now.alarms, "p");
+    byId("raw").textContent = now.raw;
     const rows = Object.entries(now.summary).flat();
     if (byId("summary").children.length !== rows.length) {
       byId("summary").replaceChildren(...rows.map((text, k) => make(k % 2 ? "dd" : "dt", text)));
