@@ -20,7 +20,7 @@ from repro_board.wire import encode
 
 HEAD = struct.Struct("<4sc3xIIIqI")
 """Of a block, with its checksum: see the table in :mod:`repro_board.record`."""
-KINDS = ("frames", "csv")
+KINDS, NOTE = ("frames", "csv"), "load on"
 
 
 def values(k: int) -> list[float]:
@@ -37,6 +37,8 @@ def write(path: Path, kind: str, n: int, rng: np.random.Generator) -> None:
     writer = Writer(path, {"port": "a board"})
     for k, part in enumerate(np.split(np.frombuffer(data, np.uint8), cuts)):
         writer.write(10**18 + 10**7 * k, part.tobytes())
+        if k == 9:
+            writer.note(10**18 + 10**8, NOTE)
     writer.close()
 
 
@@ -89,6 +91,10 @@ def check(path: Path, n: int, changed: bool) -> str:
     for number, sample in zip(numbers, recording.samples, strict=True):
         if not 0 <= number < n or sample.values.tolist() != values(number):
             raise AssertionError(f"{sample} was never sent")
+    if any(note.text != NOTE for note in recording.notes):
+        raise AssertionError(f"{recording.notes} were never written")
+    if len(recording.notes) != 1 and not recording.remarks:
+        raise AssertionError(f"{len(recording.notes)} notes, and nothing is said")
     if sorted(set(numbers)) != numbers:
         raise AssertionError("samples are doubled or exchanged")
     if (len(numbers) < n or changed) and not recording.remarks:
