@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from repro import ConstantCurvature, Disc, InputError, Magnet, Robot, Sensor
-from repro_board.view import VIEWER, view
+from repro_board.shape_view import VIEWER, view
 
 ROBOT = Robot(
     [ConstantCurvature(0.11, 0.022), ConstantCurvature(0.11, 0.022)],
