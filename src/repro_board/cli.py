@@ -417,7 +417,7 @@ def export(
     robot
         The robot file that names the readings and their unit.
     estimates
-        For mcap: a table that repro track or live wrote of this recording.
+        For mcap: a table that repro track or live wrote of this recording; with --robot also as poses in 3-D.
     """
     from repro_board.export import export as export_to
 

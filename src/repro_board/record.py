@@ -32,7 +32,7 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -152,6 +152,13 @@ class Writer:
                 synced = size
 
 
+class Note(NamedTuple):
+    """What a person noted while it was recorded; ``time_s`` [s] is from the first sample."""
+
+    time_s: float
+    text: str
+
+
 class Recording(NamedTuple):
     """A recording as it was read.
 
@@ -170,6 +177,7 @@ class Recording(NamedTuple):
     units: tuple[str, ...]
     counters: dict[str, int]
     remarks: tuple[str, ...]
+    notes: Sequence[Note] = ()
 
 
 def read_recording(path: str | Path, *, format: str | None = None, channels: int | None = None) -> Recording:

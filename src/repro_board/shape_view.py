@@ -23,7 +23,7 @@ from repro.robot import Robot
 
 PAGE = Path(__file__).with_name("page")
 VIEWER = PAGE / "vendor" / "shape_viewer.js"
-MOST_FRAMES, POINTS = 300, 9
+MOST_FRAMES, POINTS = 3000, 9
 COLOURS = {"truth": "#1A1A1A", "estimate": "#D55E00", "magnets": "#009E73", "sensors": "#0072B2"}
 
 
@@ -77,6 +77,7 @@ def view(
     estimate: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     frames: int = 75,
+    estimated: bool = False,
 ) -> View:
     """Show a robot over time, beginning at the frame where the tip of the estimate is farthest off.
 
@@ -96,7 +97,9 @@ def view(
         Covariance ``[t, n_q, n_q]`` of the estimate, or of ``q`` if there is none: two standard deviations are drawn
         as a tube.
     frames
-        Most frames that are shown, at most 300.
+        Most frames that are shown, at most 3000.
+    estimated
+        Whether ``q`` is an estimate although no covariance is given.
 
     Raises
     ------
@@ -120,7 +123,7 @@ def view(
     every = -(-len(t) // frames)
     kept = {name: _rows(x, name, len(t))[::every] for name, x in given.items() if x is not None}
     names = {"truth": "q", "estimate": "estimate"} if estimate is not None else {"truth": "q"}
-    if covariance is not None and estimate is None:
+    if estimate is None and (estimated or covariance is not None):
         names = {"estimate": "q"}
     curves = {role: 1e3 * robot.poses(kept[key], _along(robot))[..., :3, 3] for role, key in names.items()}
     shapes: list[Json] = [

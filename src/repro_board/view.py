@@ -97,6 +97,7 @@ _SCRIPT = "text/javascript; charset=utf-8"
 FILES = {
     "/": ("live.html", "text/html; charset=utf-8"),
     "/live.css": ("live.css", "text/css; charset=utf-8"),
+    "/traces.js": ("traces.js", _SCRIPT),
     "/live.js": ("live.js", _SCRIPT),
     "/viewer.js": ("vendor/shape_viewer.js", _SCRIPT),
 }
