@@ -31,7 +31,7 @@ from repro_board.calibrations import TOLERANCES, by_motion, with_poses
 from repro_board.cleaning import averaged, complete, frozen, repeats, unwrapped, without_spikes
 from repro_board.export import table_of
 from repro_board.lag import GAP_STEPS, Signal, clock_lag, fine_lag, held_lag, in_axes_of_the_readings
-from repro_board.record import is_recording, read_recording, readings_of
+from repro_board.record import Recording, is_recording, read_recording, readings_of
 from repro_board.report import (
     Report,
     calibration_report,
@@ -47,6 +47,7 @@ from repro_board.report import (
 
 ESTIMATORS = ("levenberg_marquardt", "kalman")
 """Those that a monitor watches."""
+NOT_WRITTEN = "No table is written (-o shape.csv writes one)."
 _WINDOW_S = 0.5
 """Readings are averaged over this time around a pose with one time."""
 _LEAST_S, _APART_S = 5.0, 1.0
@@ -60,7 +61,7 @@ def _robot(path: Path | str, owner: str) -> Robot:
     return robot
 
 
-def _readings(robot: Robot, source: Path | str, rate_hz: float | None = None) -> Readings:
+def _readings(robot: Robot, source: Path | str | Recording, rate_hz: float | None = None) -> Readings:
     u = readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
     u.remarks = (*u.remarks, *_pace(robot, u.times))
     return u
@@ -102,7 +103,7 @@ def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Traj
 
 
 def track_file(
-    readings: Path | str,
+    readings: Path | str | Recording,
     robot: Path | str,
     *,
     output: Path | str | None = None,
@@ -131,7 +132,7 @@ def track_file(
         built = f", if the robot is built exactly as {Path(robot).name} says (not calibrated)"
         lines.append(tip if known else tip + built)
     if path is None:
-        lines.append("No table is written (-o shape.csv writes one).")
+        lines.append(NOT_WRITTEN)
     else:
         lines.append(written(path, csv(frame), owner))
     return Report("\n".join([*lines, *suspicions(shape), *mirrors_in_words(arm)]), shape)

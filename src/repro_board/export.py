@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 from itertools import repeat
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,8 +23,8 @@ from repro_board.record import Recording, read_recording, readings_of
 FORMS = ("csv", "parquet", "mcap")
 _LATE_S, _LATE_SHARE = 1.0, 1e-3
 """By so much, and this share of the recording, estimates may lie outside it."""
-POSES, _AT_ONCE = 20, 1000
-"""So many places of the backbone are written for each estimate; so many estimates are turned into poses at a time."""
+POSES = 20
+"""So many places of the backbone are written for each estimate."""
 Json = dict[str, Any]
 
 
@@ -88,17 +88,15 @@ def export(
     recording = read_recording(path)
     robot = load_robot(robot) if isinstance(robot, str | Path) else robot
     table, remarks = table_of(recording, robot)
-    topics = _readings(recording, table)
+    tables, poses = _by_stream(table), None
     if estimates is not None:
-        estimated, name = estimates_table(estimates, recording.times), Path(estimates).name
-        topics = {"/estimate": _topic("estimate", recording, estimated), **topics}
+        estimated = estimates_table(estimates, recording.times)
+        tables = {"/estimate": estimated, **tables}
         if robot is None:
             remarks.append("No poses of the backbone are written: they need the robot file (--robot).")
         else:
-            q, unix_s = configurations(robot, estimated, name), recording.unix_s + estimated["time_s"]
-            topics["/backbone"] = _Topic(
-                "foxglove.PosesInFrame", _POSES, _backbones(unix_s.to_numpy(), robot, q)
-            )
+            q = configurations(robot, estimated, Path(estimates).name)
+            poses = _backbones(recording.unix_s + estimated["time_s"].to_numpy(), robot, q)
     with whole(output, "the export") as part:
         if form == "csv":
             table.to_csv(part, index=False)
@@ -109,7 +107,7 @@ def export(
                 must = 'csv or mcap, unless pyarrow is installed (the extra "parquet")'
                 raise bad_input("to", "the export", must, form) from error
         else:
-            _write_mcap(part, recording, topics)
+            _write_mcap(part, recording, tables, poses)
     return remarks, len(recording.samples)
 
 
@@ -189,7 +187,7 @@ def configurations(robot: Robot, table: pd.DataFrame, name: str) -> Array:
     require(not missing, "estimates", name, must, f"a table without {', '.join(missing)}")
     given = table[[*labels, *tips]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
     q = given[:, : robot.n_q] / [factor for *_, factor in robot.units]
-    known = np.isfinite(given).all(1)
+    known = np.isfinite(given.sum(axis=1))  # of a row that lacks a number there is no sum
     require(known.any(), "estimates", name, "known in a row or more", "none")
     off_mm = np.abs(1e3 * robot.tip(q[known])[:, :3, 3] - given[known, robot.n_q :]).max()
     # The table has seven digits of each.
@@ -198,56 +196,37 @@ def configurations(robot: Robot, table: pd.DataFrame, name: str) -> Array:
     return np.where(known[:, None], q, np.nan)
 
 
-class _Topic(NamedTuple):
-    """The schema of messages, its name, and the messages with their times since 1970 [ns]."""
-
-    name: str
-    schema: Json
-    messages: Iterator[tuple[int, Json]]
-
-
-def _readings(recording: Recording, table: pd.DataFrame) -> dict[str, _Topic]:
-    """Return the topics of the readings, one for each stream."""
+def _by_stream(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the rows of each stream, by topic."""
     several = "stream" in table and bool(table["stream"].nunique() > 1)
     parts = table.groupby("stream" if several else np.zeros(len(table)))
-    named = {f"readings/{stream}" if several else "readings": part for stream, part in parts}
-    return {f"/{name}": _topic(name, recording, part) for name, part in named.items()}
+    return {f"/readings/{stream}" if several else "/readings": part for stream, part in parts}
 
 
-def _topic(name: str, recording: Recording, table: pd.DataFrame) -> _Topic:
-    """Return a table as a topic."""
-    kinds = {label: "number" if x.kind in "ifu" else "string" for label, x in table.dtypes.items()}
-    schema = {"type": "object", "properties": {label: {"type": kind} for label, kind in kinds.items()}}
-    return _Topic(name, schema, _rows(recording, table))
-
-
-def _rows(recording: Recording, table: pd.DataFrame) -> Iterator[tuple[int, Json]]:
-    """Yield the rows of a table and their times since 1970 [ns], without what is missing."""
+def _rows(unix_s: float, table: pd.DataFrame) -> Iterator[tuple[int, Json]]:
+    """Yield the times of rows since 1970 [ns], and what is in them, without what is missing."""
     for row in table.sort_values("time_s", kind="stable").astype(object).to_dict("records"):
         content = {str(name): x for name, x in row.items() if isinstance(x, str) or math.isfinite(x)}
-        yield round(1e9 * (recording.unix_s + row["time_s"])), content
+        yield round(1e9 * (unix_s + row["time_s"])), content
 
 
 def _backbones(unix_s: Array, robot: Robot, q: Array) -> Iterator[tuple[int, Json]]:
-    """Yield poses of places along the backbone and their times [ns], where the shape is known."""
-    places, axes = even_places(robot), ("x", "y", "z", "w")
-    known = np.flatnonzero(np.isfinite(q).all(1))
-    for first in range(0, len(known), _AT_ONCE):
-        some = known[first : first + _AT_ONCE]
-        T = robot.poses(q[some], places)
-        turns = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat().reshape(*T.shape[:2], 4)
-        numbers = np.concatenate([T[..., :3, 3], turns], axis=-1).round(10)
-        for time_s, row in zip(unix_s[some].tolist(), numbers.tolist(), strict=True):
-            time_ns = round(1e9 * time_s)
-            seconds, rest = divmod(time_ns, 10**9)
-            poses = [
-                {
-                    "position": dict(zip(axes[:3], pose[:3], strict=True)),
-                    "orientation": dict(zip(axes, pose[3:], strict=True)),
-                }
-                for pose in row
-            ]
-            yield time_ns, {"timestamp": {"sec": seconds, "nsec": rest}, "frame_id": "base", "poses": poses}
+    """Yield the times since 1970 [ns] of known shapes, and poses of places along each."""
+    places = even_places(robot)
+    for k in np.flatnonzero(np.isfinite(q).all(1)).tolist():
+        T = robot.poses(q[k], places)
+        turns = Rotation.from_matrix(T[:, :3, :3]).as_quat().round(10).tolist()
+        points = T[:, :3, 3].round(10).tolist()
+        poses = [
+            {
+                "position": dict(zip("xyz", p, strict=True)),
+                "orientation": dict(zip("xyzw", turn, strict=True)),
+            }
+            for p, turn in zip(points, turns, strict=True)
+        ]
+        time_ns = round(1e9 * unix_s[k])
+        stamp = dict(zip(("sec", "nsec"), divmod(time_ns, 10**9), strict=True))
+        yield time_ns, {"timestamp": stamp, "frame_id": "base", "poses": poses}
 
 
 def even_places(robot: Robot) -> list[Place]:
@@ -261,16 +240,28 @@ def even_places(robot: Robot) -> list[Place]:
     return [*found, point_on(len(lengths), float(lengths[-1]))]
 
 
-def _write_mcap(path: Path, recording: Recording, topics: dict[str, _Topic]) -> None:
+def _write_mcap(
+    path: Path,
+    recording: Recording,
+    tables: dict[str, pd.DataFrame],
+    poses: Iterator[tuple[int, Json]] | None,
+) -> None:
     from mcap.writer import Writer
 
     with path.open("wb") as file:
         writer, streams = Writer(file), []
         writer.start(library="repro")
-        for topic, (name, schema, messages) in topics.items():
+
+        def add(topic: str, name: str, schema: Json, messages: Iterator[tuple[int, Json]]) -> None:
             number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-            channel = writer.register_channel(topic, "json", number)
-            streams.append(zip(messages, repeat(channel)))
+            streams.append(zip(messages, repeat(writer.register_channel(topic, "json", number))))
+
+        for topic, part in tables.items():
+            kinds = {name: "number" if x.kind in "ifu" else "string" for name, x in part.dtypes.items()}
+            schema = {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
+            add(topic, topic[1:], schema, _rows(recording.unix_s, part))
+        if poses is not None:
+            add("/backbone", "foxglove.PosesInFrame", _POSES, poses)
         for (time_ns, content), channel in heapq.merge(*streams, key=lambda message: message[0][0]):
             writer.add_message(channel, time_ns, json.dumps(content).encode(), time_ns)
         writer.add_metadata("recording", {name: json.dumps(x) for name, x in recording.about.items()})
