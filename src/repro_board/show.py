@@ -154,6 +154,7 @@ def _shape(seen: Seen, times: Array, rows: Array, named: list[str]) -> View:
     found = view(seen.robot, seen.q[rows], times[rows], label, covariance=C, estimated=True, frames=most)
     number = {name: k for k, name in enumerate(seen.robot.part_names[: len(seen.robot.sensors)])}
     frames = [[number[who] for who in text.split(", ") if who in number] for text in named]
+    found.data["widest"] = 2 * found.data["radius"]  # else what nobody knows would hide the rest
     if any(frames):
         found.data["suspects"] = {"name": "suspected", "frames": frames}
     return found
