@@ -19,7 +19,16 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES_OF_THE_BUNDLE = "repro_board/page/"
 """From these `make vendor` makes the script of the viewer; the wheel holds only what it made."""
-BUNDLED = {"shape_viewer.js", "LICENSE.three", "live.html", "live.css", "live.js"}
+BUNDLED = {
+    "shape_viewer.js",
+    "LICENSE.three",
+    "live.html",
+    "live.css",
+    "live.js",
+    "show.html",
+    "show.js",
+    "traces.js",
+}
 SHOW = "print(repro.__file__, shape.q.shape, found.q.shape)"
 THREE_LINES = """import repro
 robot = repro.Robot([repro.ConstantCurvature(0.11, 0.022), repro.Link(0.02)])

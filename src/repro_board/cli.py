@@ -285,6 +285,33 @@ def evaluate(
     ))  # fmt: skip
 
 
+@app.command(group=ROBOT, sort_key=5)
+def show(
+    file: Path,
+    /,
+    *,
+    robot: Path,
+    output: NewFile,
+    estimates: Path | None = None,
+) -> int:
+    """Write shape, readings and alarms as a page: repro show FILE --robot ROBOT.toml -o PAGE.html.
+
+    Parameters
+    ----------
+    file
+        A recording of repro record, a table of readings, or the estimates of repro track.
+    robot
+        The robot file.
+    output
+        A new HTML file, which a browser shows without a network.
+    estimates
+        What repro track or live wrote of this recording or these readings; if not given they are tracked now.
+    """
+    from repro_board.show import show_file
+
+    return tell(show_file(file, robot, output, estimates=estimates))
+
+
 @app.command(group=BOARD, sort_key=1)
 def record(
     port: str = "",
@@ -423,7 +450,7 @@ def export(
     robot
         The robot file that names the readings and their unit.
     estimates
-        For mcap: a table that repro track or live wrote of this recording.
+        For mcap: a table that repro track or live wrote of this recording; with --robot also as poses in 3-D.
     """
     from repro_board.export import export as export_to
 

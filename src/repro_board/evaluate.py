@@ -48,6 +48,7 @@ from repro_board.report import (
 
 ESTIMATORS = ("levenberg_marquardt", "kalman")
 """Those that a monitor watches."""
+NOT_WRITTEN = "No table is written (-o shape.csv writes one)."
 _WINDOW_S = 0.5
 """Readings are averaged over this time around a pose with one time."""
 _LEAST_S, _APART_S = 5.0, 1.0
@@ -103,7 +104,7 @@ def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Traj
 
 
 def track_file(
-    readings: Path | str,
+    readings: Path | str | Recording,
     robot: Path | str,
     *,
     output: Path | str | None = None,
@@ -132,7 +133,7 @@ def track_file(
         built = f", if the robot is built exactly as {Path(robot).name} says (not calibrated)"
         lines.append(tip if known else tip + built)
     if path is None:
-        lines.append("No table is written (-o shape.csv writes one).")
+        lines.append(NOT_WRITTEN)
     else:
         lines.append(written(path, csv(frame), owner))
     return Report("\n".join([*lines, *suspicions(shape), *mirrors_in_words(arm)]), shape)

@@ -20,6 +20,15 @@ from repro.estimators.track import Trajectory
 from repro_board.record import Note
 
 _COVERED = 0.95
+MEANING = {
+    "inconsistent": "the readings do not fit together, and no single sensor explains it "
+    "(unit, order or sign of the columns wrong, or not calibrated?)",
+    "frozen": "the board repeats itself: all readings are old",
+    "undetermined": "there are fewer readings than unknowns",
+    "beyond bounds": "the readings fit only beyond the bounds of the robot file; the shape stays within",
+    "unchecked": "the fit uses up all readings: a wrong one would look like another shape",
+}
+"""What a status says of a row, in words."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +76,7 @@ def suspicions(shape: Trajectory) -> list[str]:
     if shape.status is None or shape.suspects is None:
         return ["Nothing watches this estimator: a sensor that fails is not noticed."]
     n, counts = len(shape.times), Counter(shape.status.tolist())
-    words = {
-        "inconsistent": "the readings do not fit together, and no single sensor explains it "
-        "(unit, order or sign of the columns wrong, or not calibrated?)",
-        "frozen": "the board repeats itself: all readings are old",
-        "undetermined": "there are fewer readings than unknowns",
-        "beyond bounds": "the readings fit only beyond the bounds of the robot file; the shape stays within",
-        "unchecked": "the fit uses up all readings: a wrong one would look like another shape",
-    }
-    lines = [f"In {counts[name]} of {n} rows {text}." for name, text in words.items() if counts[name]]
+    lines = [f"In {counts[name]} of {n} rows {text}." for name, text in MEANING.items() if counts[name]]
     names = shape.robot.part_names if shape.robot is not None else range(1, 1 + shape.suspects.shape[1])
     for name, rows in zip(names, shape.suspects.T, strict=True):
         if rows.any():

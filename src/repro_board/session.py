@@ -43,8 +43,9 @@ from repro.estimators.monitor import (
 )
 from repro.robot import Robot
 from repro_board.evaluate import ESTIMATORS, estimator_of
+from repro_board.shape_view import view
 from repro_board.steps import Step, Steps
-from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared, view
+from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared
 from repro_board.wire import Parser, is_text, raw
 
 MOST_BYTES = 65536

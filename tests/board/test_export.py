@@ -9,9 +9,22 @@ import numpy as np
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
-from repro import ConstantCurvature, InputError, Robot, Sensor
-from repro_board.export import export, table_of
+from repro import (
+    BallJoint,
+    ConstantCurvature,
+    Disc,
+    FreeBody,
+    InputError,
+    LevenbergMarquardt,
+    Link,
+    Magnet,
+    Robot,
+    Sensor,
+    track,
+)
+from repro_board.export import POSES, even_places, export, table_of
 from repro_board.record import Writer, read_recording, readings_of
 from repro_board.wire import encode
 
@@ -151,6 +164,130 @@ def test_notes_are_in_the_row_nearest_in_time_and_messages_of_their_own(tmp_path
     assert abs(notes[2][0] - (START_S * 10**9 + 108_000_000)) < 1000
     assert len(found) == 40 + 4
     assert not any("note" in content for topic, _, content, _ in found if topic != "/notes")
+
+
+PUBLISHED = {
+    "timestamp": {"sec": "integer", "nsec": "integer"},
+    "frame_id": "string",
+    "poses": [{"position": dict.fromkeys("xyz", "number"), "orientation": dict.fromkeys("xyzw", "number")}],
+}
+"""All that foxglove/foxglove-sdk requires of a message (schemas/jsonschema/PosesInFrame.json), and its types."""
+
+
+def types_of(schema):
+    """The types that a schema requires, in the form of `PUBLISHED`."""
+    if schema["type"] == "array":
+        return [types_of(schema["items"])]
+    if schema["type"] != "object":
+        return schema["type"]
+    assert schema["required"] == list(schema["properties"])
+    return {name: types_of(part) for name, part in schema["properties"].items()}
+
+
+@pytest.fixture
+def bending(recording, tmp_path):
+    """A robot of two segments, estimates of its shape, the poses that were exported, their schema and the remarks."""
+    robot = Robot(
+        [ConstantCurvature(0.06, 0.015), Link(0.01), ConstantCurvature(0.03, 0.015)],
+        [Magnet(Disc(8e-3, 3e-3, 1300.0), 1, 0.03)],
+        [Sensor(3, 0.03, 0.01, channels=[f"u{k}"]) for k in (1, 3)],
+        lower=np.full(6, -0.01), upper=np.full(6, 0.01), noise=1.0,
+    )  # fmt: skip
+    shape = track(LevenbergMarquardt(robot), U[:, [0, 2]], times=0.02 * np.arange(40))
+    frame = shape.to_frame()
+    frame.loc[7, [name for name in frame if name.endswith("_mm")]] = np.nan
+    frame.to_csv(tmp_path / "shape.csv", index=False)
+    options = {"robot": robot, "estimates": tmp_path / "shape.csv"}
+    assert export(recording.path, tmp_path / "a.mcap", **options) == ([], 40)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = [(schema, message.log_time, json.loads(message.data))
+                 for schema, _, message in make_reader(file).iter_messages(topics=["/backbone"])]  # fmt: skip
+    return robot, frame.dropna(subset=["tip_x_mm"]), found
+
+
+def test_poses_are_messages_of_the_published_schema(bending):
+    jsonschema = pytest.importorskip("jsonschema")
+    _, frame, found = bending
+    assert len(found) == len(frame) == 39
+    schema = json.loads(found[0][0].data)
+    assert (found[0][0].name, found[0][0].encoding) == ("foxglove.PosesInFrame", "jsonschema")
+    assert types_of(schema) == PUBLISHED
+    assert (schema["properties"]["timestamp"]["title"], found[0][2]["frame_id"]) == ("time", "base")
+    for (_, time_ns, message), time_s in zip(found, frame["time_s"], strict=True):
+        jsonschema.validate(message, schema)
+        stamp = message["timestamp"]
+        assert stamp["sec"] * 10**9 + stamp["nsec"] == time_ns
+        assert abs(time_ns - round(1e9 * (START_S + time_s))) < 1000
+
+
+def test_poses_are_those_of_the_estimates(bending):
+    """At even places of the backbone, from the base to the tip of the table; quaternions of length one, XYZW."""
+    robot, frame, found = bending
+    poses = [pose for *_, message in found for pose in message["poses"]]
+    p = np.array([[pose["position"][axis] for axis in "xyz"] for pose in poses]).reshape(39, POSES, 3)
+    quaternions = np.array([[pose["orientation"][axis] for axis in "xyzw"] for pose in poses])
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-9)
+    tips = frame[["tip_x_mm", "tip_y_mm", "tip_z_mm"]] / 1e3
+    np.testing.assert_allclose(p[:, -1], tips, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(p[:, 0], 0.0, atol=1e-9)
+    q = frame[[f"{name}_mm" for name in robot.coordinates]].to_numpy() / 1e3
+    turns = Rotation.from_quat(quaternions).as_matrix().reshape(39, POSES, 3, 3)
+    np.testing.assert_allclose(turns[:, -1], robot.tip(q)[:, :3, :3], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [
+        [ConstantCurvature(0.06, 0.015), Link(0.01), ConstantCurvature(0.03, 0.015)],
+        [BallJoint("xy"), Link(0.05), BallJoint("x")],
+        [Link(0.02), Link(0.0), ConstantCurvature(0.04, 0.01)],
+        [FreeBody()],
+    ],
+)
+def test_places_are_even_and_end_at_the_tip(segments):
+    robot = Robot(segments)
+    places, lengths = even_places(robot), np.array([segment.length for segment in segments])
+    before = np.concatenate([[0.0], lengths.cumsum()])
+    along = [before[place.segment - 1] + place.at for place in places]
+    np.testing.assert_allclose(along, np.linspace(0, lengths.sum(), POSES), atol=1e-12)
+    q = np.full(robot.n_q, 0.003)
+    np.testing.assert_allclose(robot.poses(q, places)[-1], robot.tip(q), atol=1e-15)
+
+
+def test_readings_keep_names_and_units_beside_the_poses(bending, tmp_path):
+    found, _ = messages(tmp_path / "a.mcap")
+    robot = bending[0]
+    topics = [topic for topic, *_ in found]
+    assert {name: topics.count(name) for name in topics} == {
+        "/estimate": 40,
+        "/readings": 40,
+        "/backbone": 39,
+    }
+    properties = next(x for topic, _, _, x in found if topic == "/readings")
+    assert [*properties][-2:] == [f"{name}_mT" for name in robot.names]
+    times = [time_ns for _, time_ns, *_ in found]
+    assert times == sorted(times)
+
+
+def test_poses_need_the_robot_of_the_estimates(bending, recording, tmp_path):
+    robot, estimates = bending[0], tmp_path / "shape.csv"
+    remarks, _ = export(recording.path, tmp_path / "b.mcap", estimates=estimates)
+    assert remarks == ["No poses of the backbone are written: they need the robot file (--robot)."]
+    assert {topic for topic, *_ in messages(tmp_path / "b.mcap")[0]} == {"/estimate", "/readings"}
+    first, _, last = robot.segments
+    other = Robot([first, Link(0.0101), last], robot.magnets, robot.sensors)
+    shorter = Robot([first], robot.magnets, [Sensor(1, 0.06, 0.01, channels=["u1"])])
+    pd.read_csv(estimates).drop(columns="delta_y_3_mm").to_csv(tmp_path / "less.csv", index=False)
+    pd.read_csv(estimates)[::-1].to_csv(tmp_path / "back.csv", index=False)
+    for model, path, words in [
+        (other, estimates, r"shape\.csv must be estimates of this robot; instead received tips up to 0\.1"),
+        (shorter, estimates, r"must be estimates of this robot; instead received tips up to 4"),
+        (robot, tmp_path / "less.csv", r"instead received a table without delta_y_3_mm"),
+        (robot, tmp_path / "back.csv", r"time_s of back\.csv must be increasing"),
+    ]:  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            export(recording.path, tmp_path / "c.mcap", robot=model, estimates=path)
+        assert not (tmp_path / "c.mcap").exists()
 
 
 def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from repro import ConstantCurvature, Disc, InputError, Magnet, Robot, Sensor
-from repro_board.view import VIEWER, view
+from repro_board.shape_view import VIEWER, view
 
 ROBOT = Robot(
     [ConstantCurvature(0.11, 0.022), ConstantCurvature(0.11, 0.022)],
@@ -73,7 +73,7 @@ def test_long_recordings_are_thinned():
             {"estimate": Q[:4]},
             "estimate of view must be one row for each of 5 times; instead received 4 rows",
         ),
-        ({"frames": 301}, "frames of view must be 1 to 300; instead received 301"),
+        ({"frames": 3001}, "frames of view must be 1 to 3000; instead received 3001"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(changes, message):
@@ -88,7 +88,12 @@ def test_script_is_the_one_recorded():
     manifest = json.loads((VIEWER.parent / "manifest.json").read_text(encoding="utf-8"))
     known = manifest["sha256"]
     assert {"vendor/shape_viewer.js", "vendor/LICENSE.three", "viewer.js", "package-lock.json"} <= set(known)
-    sources = {path.name for path in [*page.glob("*.js"), *page.glob("*.css")]} - {"live.js", "live.css"}
+    sources = {path.name for path in [*page.glob("*.js"), *page.glob("*.css")]} - {
+        "live.js",
+        "live.css",
+        "show.js",
+        "traces.js",
+    }
     assert sources <= set(known), "a source that the manifest does not know"
     for name, digest in known.items():
         found = hashlib.sha256((page / name).read_bytes()).hexdigest()

@@ -4,12 +4,7 @@
 const SECONDS = 20; // of readings that are shown
 const LATE_S = 0.25; // readings older than this are not drawn at "now"
 const GAP_S = 1; // readings farther apart are not joined
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
-const DASHES = [[], [6, 3], [2, 2]]; // lines with the same colour differ in their dashes
-const LEFT = 52, TOP = 8, RIGHT = 8, BOTTOM = 20; // around the lines [px]
 const MOST_RESIDUAL = 30; // beyond this a residual stays at the edge
-const byId = (id) => document.getElementById(id);
-const make = (name, text = "") => Object.assign(document.createElement(name), { textContent: text });
 
 /** Put texts into a list, reusing its entries: they stay selectable while numbers change. */
 function fill(list, texts, name = "li") {
@@ -21,16 +16,6 @@ function fill(list, texts, name = "li") {
 }
 
 const say = (text) => { if (byId("status").textContent !== text) byId("status").textContent = text; };
-
-/** Round numbers between two limits, four to seven of them, and how many digits they have behind the point. */
-function ticks(low, high) {
-  const least = (high - low) / 6;
-  const power = 10 ** Math.floor(Math.log10(least));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= least * 0.999);
-  const values = [];
-  for (let k = Math.ceil(low / step); k * step <= high; k++) values.push(k * step);
-  return [values, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
-}
 
 /** Lines over the last seconds; a reading that is missing leaves a gap, and so does a time without readings. */
 class Traces {
@@ -46,60 +31,18 @@ class Traces {
   }
 
   limits() {
-    let low = Infinity, high = -Infinity;
-    for (const [, values] of this.rows) {
-      for (const x of values) if (x !== null) [low, high] = [Math.min(low, x), Math.max(high, x)];
-    }
+    let [low, high] = extremes(this.rows);
     if (low > high) return this.shown;
     if (this.most < Infinity) [low, high] = [Math.max(Math.min(low, -4), -this.most), Math.min(Math.max(high, 4), this.most)];
-    const room = 0.05 * (high - low) || Math.max(1e-3, 0.05 * Math.abs(high));
-    return (this.shown = [low - room, high + room]);
+    return (this.shown = widened(low, high));
   }
 
   draw(suspects) {
-    const { canvas, rows, end } = this, pen = canvas.getContext("2d"), ratio = devicePixelRatio || 1;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight], bottom = height - BOTTOM;
-    const sizes = [width, height].map((size) => Math.round(size * ratio));
-    if (canvas.width !== sizes[0] || canvas.height !== sizes[1]) [canvas.width, canvas.height] = sizes;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
-    const limits = this.limits();
-    if (!limits) return;
-    const [low, high] = limits;
-    const x = (time) => LEFT + (1 - (end - time) / SECONDS) * (width - LEFT - RIGHT);
-    const y = (value) => TOP + (high - Math.min(Math.max(value, low), high)) / (high - low) * (bottom - TOP);
-    Object.assign(pen, {
-      font: "12px system-ui, sans-serif", fillStyle: getComputedStyle(canvas).color, strokeStyle: "#88888866",
-      lineWidth: 1, globalAlpha: 1, textAlign: "right", textBaseline: "middle",
-    });
-    pen.setLineDash([]);
-    const [values, digits] = ticks(low, high);
-    for (const value of values) {
-      pen.beginPath(); pen.moveTo(LEFT, y(value)); pen.lineTo(width - RIGHT, y(value)); pen.stroke();
-      pen.fillText(value.toFixed(digits).replace(/^-(?=.*[1-9])/, "−").replace(/^-/, ""), LEFT - 6, y(value));
-    }
-    for (let age = 0; age <= SECONDS; age += 5) {
-      pen.textAlign = age === 0 ? "right" : age === SECONDS ? "left" : "center";
-      pen.fillText(age ? `−${age} s` : "now", x(end - age), height - 8);
-    }
-    for (let k = 0; k < this.count; k++) {
-      const suspect = suspects.includes(k);
-      Object.assign(pen, { strokeStyle: suspect ? "#e60000" : colour(k), lineWidth: suspect ? 3 : 1.6 });
-      pen.globalAlpha = suspects.length && !suspect ? 0.45 : 1;
-      pen.setLineDash(DASHES[Math.floor(k / COLOURS.length) % DASHES.length]);
-      pen.beginPath();
-      let last = -Infinity;
-      for (const [time, row] of rows) {
-        if (row[k] === null) { last = -Infinity; continue; }
-        if (time - last <= GAP_S) pen.lineTo(x(time), y(row[k])); else pen.moveTo(x(time), y(row[k]));
-        last = time;
-      }
-      pen.stroke();
-    }
+    const { canvas, count, rows, end } = this, limits = this.limits(), from = end - SECONDS;
+    const labels = [0, 5, 10, 15, 20].map((age) => [end - age, age ? `−${age} s` : "now"]);
+    drawLines(canvas, limits && { rows, count, limits, from, to: end, labels, gap: GAP_S, suspects });
   }
 }
-
-const colour = (k) => COLOURS[k % COLOURS.length];
 
 function begin(scene) {
   document.title = `Live: ${scene.robot}`;

@@ -2,7 +2,7 @@
 //
 //   handle = reproViewer.mount(element, data)
 //
-// `data` is what `repro_board.view` writes, lengths in mm:
+// `data` is what `repro_board.shape_view` writes, lengths in mm:
 //   label                what the picture shows, in words
 //   box, radius          two corners around everything that is drawn; radius of the body
 //   time_s               one number per frame; none for the live view, which has no slider
@@ -10,7 +10,7 @@
 //   shapes               [{name, role: "truth" | "estimate", points, deviation?}]: x, y, z of the points of all frames,
 //                        and for each point a standard deviation, drawn as a tube of two of them
 //   magnets, sensors     {points, directions, name?}, for all frames
-//   suspects             {name}, if sensors may be marked
+//   suspects             {name, frames?}, if sensors may be marked: for each frame numbers of those that are
 //   widest               largest radius of a tube of deviations [mm]; any if not given
 //   zoom                 how many times nearer the eye is than where all of the floor is in the picture
 //   tallest              most pixels that the picture is high; 440 if not given
@@ -18,6 +18,7 @@
 //
 // The handle: setFrame(i); update(frame), which draws one shape that is not part of `data` (fields as above, and in
 // `suspects` numbers of sensors that are marked); dispose(). Without WebGL there is no handle but null, and the image inside `element` stays.
+// An event "frame" of `element` has in `detail` the number of a frame that is shown.
 
 import {
   BufferGeometry, CanvasTexture, CatmullRomCurve3, ConeGeometry, CylinderGeometry, DirectionalLight, DoubleSide,
@@ -309,6 +310,7 @@ function unpacked(data) {
     })),
     magnets: markersAt(magnets, i),
     sensors: markersAt(sensors, i),
+    suspects: data.suspects?.frames?.[i],
   });
 }
 
@@ -380,6 +382,7 @@ export function mount(element, data) {
     slider.setAttribute("aria-valuetext", `${time[current].toFixed(2)} s of ${time.at(-1).toFixed(2)} s`);
     clock.textContent = `${time[current].toFixed(2)} s`;
     scene.draw(frame);
+    element.dispatchEvent(new CustomEvent("frame", { detail: current }));
   }
 
   /** The last frame that is not later than a time. */
@@ -440,7 +443,10 @@ export function mount(element, data) {
   resizing.observe(view);
 
   return {
-    setFrame,
+    setFrame(i) {
+      pause();
+      setFrame(i);
+    },
     update(next) {
       const shapes = next.shapes.map((shape, i) => ({ ...data.shapes[i], ...shape }));
       frame = { ...unpacked({ ...next, shapes, time_s: [0] })(0), suspects: next.suspects };
