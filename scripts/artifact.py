@@ -27,7 +27,7 @@ from llvmlite.binding import get_host_cpu_name
 from repro_companion import build as book
 from repro_companion.artifact_page import MEASURED
 from repro_companion.compare import CRATE, compare_with_head
-from repro_companion.run import RunFailed, digest, project_folder, read_record
+from repro_companion.run import RunFailed, digest, project_folder, read_record, require
 
 OUT = Path("build/artifact")
 FIRST_DAY = (1980, 1, 1, 0, 0, 0)
@@ -42,13 +42,11 @@ TYPES = {
 
 def main() -> int:
     """Make the archive, or measure; return 0, or 1 where something failed."""
-    root = project_folder()
     try:
-        if sys.argv[1:] == ["--measure"]:
-            measure(root)
-        else:
-            print(make(root))
-    except (RunFailed, subprocess.CalledProcessError) as failure:
+        asked = sys.argv[1:]
+        require(asked in ([], ["--measure"]), "options", "scripts/artifact.py", "none, or --measure", asked)
+        print((measure if asked else make)(project_folder()))
+    except (RunFailed, ValueError, subprocess.CalledProcessError) as failure:
         print(failure, file=sys.stderr)
         return 1
     return 0
@@ -63,9 +61,8 @@ def make(root: Path) -> str:
     os.environ["REPRO_DATA_DIR"] = str(out / "no-recordings")
     if book.main([]):
         raise RunFailed("The book was not built, so there is no archive.")
-    moved = compare_with_head(root).found if (root / ".git").exists() else []
-    if moved:
-        raise RunFailed("\n".join([*moved, "Commit the tables first, or find out why they differ."]))
+    if (root / ".git").exists() and (moved := compare_with_head(root).found):
+        raise RunFailed("\n".join([*moved, "Commit these tables first, or find out why they differ."]))
     sources = {name: root / name for name in listed(root)}
     wheel = built_wheel(sources, out)
     sources[wheel.name] = wheel
@@ -77,8 +74,7 @@ def make(root: Path) -> str:
         f"site/{path.relative_to(site).as_posix()}": path for path in site.rglob("*") if path.is_file()
     }
     refuse_recordings(root, sources)
-    name = f"repro-{codemeta(root)['version']}"
-    archive = sealed(sources, out / f"{name}.zip")
+    archive = sealed(sources, out / f"repro-{codemeta(root)['version']}.zip")
     print(compared(archive))
     return f"{archive.relative_to(root)}  ({archive.stat().st_size / 1e6:.1f} MB, {len(sources)} files)"
 
@@ -203,9 +199,13 @@ def crate(root: Path) -> dict[str, Any]:
 
 def file_of(root: Path, name: str) -> dict[str, Any]:
     """Return what the crate says of a file."""
-    path = root / name
-    about = {"encodingFormat": TYPES[path.suffix], "contentSize": str(path.stat().st_size)}
-    return {"@id": name, "@type": "File", **about, "sha256": digest(path)}
+    return {
+        "@id": name,
+        "@type": "File",
+        "encodingFormat": TYPES[Path(name).suffix],
+        "contentSize": str((root / name).stat().st_size),
+        "sha256": digest(root / name),
+    }
 
 
 def run_of(tool: str, inputs: list[dict[str, str]], written: list[str]) -> dict[str, Any]:
@@ -237,9 +237,8 @@ def sealed(files: Mapping[str, Path], archive: Path) -> Path:
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as target:
         for name, path in sorted(files.items()):
             entry = zipfile.ZipInfo(f"{archive.stem}/{name}", FIRST_DAY)
-            entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
             entry.external_attr = (0o755 if os.access(path, os.X_OK) else 0o644) << 16
-            target.writestr(entry, path.read_bytes())
+            target.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
     archive.with_name(f"{archive.name}.sha256").write_text(f"{digest(archive)}  {archive.name}\n")
     return archive
 
@@ -263,8 +262,8 @@ def compared(archive: Path) -> str:
     return done.stdout.strip()
 
 
-def measure(root: Path) -> None:
-    """Write what each page took when it was run last, and the site, which is built anew."""
+def measure(root: Path) -> str:
+    """Write what each page took when it was run last, and the site, which is built anew; return where."""
     kind = f"{platform.system()} on {platform.machine().replace('_', '-')} ({get_host_cpu_name()})"
     lines = []
     for notebook in sorted((root / "notebooks").glob("*.ipynb")):
@@ -288,6 +287,7 @@ def measure(root: Path) -> None:
         machine=f"{kind} with {os.cpu_count()} cores",
     )
     table.to_csv(root / MEASURED, index=False, float_format="%.2g", lineterminator="\n")
+    return f"{MEASURED}  ({len(lines) - 1} pages)"
 
 
 if __name__ == "__main__":
