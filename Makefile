@@ -28,7 +28,7 @@ export JOBS OMP_NUM_THREADS OPENBLAS_NUM_THREADS MKL_NUM_THREADS PIP_DISABLE_PIP
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help book page test mutants lint check-site bench ratios size train soak vendor env clean lock
+.PHONY: help book page test mutants lint check-site bench ratios size train artifact soak vendor env clean lock
 
 help:
 	@echo 'make book        compute the figures and tables, and build the site: book/_build/html/index.html'
@@ -41,6 +41,7 @@ help:
 	@echo 'make ratios      the same ratios once, on few numbers: fails where one misses its target by more than a factor of two'
 	@echo 'make size        count statements'
 	@echo 'make train       train the networks of the paper that data/networks/ does not have yet (hours, resumable)'
+	@echo 'make artifact    seal sources, site, wheel and metadata in one zip, and check it unpacked: build/artifact'
 	@echo 'make soak        ten thousand damaged recordings, a hundred killed recorders, minutes and hours live (half an hour)'
 	@echo 'make vendor      bundle the 3-D viewer (needs node and npm)'
 	@echo 'make env         set up .venv only (every target above does this by itself; make book needs less)'
@@ -90,6 +91,9 @@ size: env
 
 train: env
 	nice -n 19 $(PY) scripts/train.py
+
+artifact: .env-book
+	@$(PY) scripts/artifact.py
 
 soak: env
 	$(PY) -m bench.soak.damaged 10000

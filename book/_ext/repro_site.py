@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import tomllib
 from pathlib import Path
 
 from fontTools import subset
 from page_access import accessible, schematics_in_full
+from repro_cite import address_of
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 
@@ -22,6 +22,7 @@ ICONS = {
     "magnifying-glass": 0xF002,
     "xmark": 0xF00D,
     "download": 0xF019,
+    "rocket": 0xF135,
     "list": 0xF03A,
     "circle-half-stroke": 0xF042,
     "arrow-up": 0xF062,
@@ -119,10 +120,8 @@ def fill_values(app: Sphinx, docname: str, source: list[str]) -> None:
 
 def source_of(root: Path) -> str:
     """Return where a reader gets the project, as a sentence; until it is published, from whoever made the site."""
-    url = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
-        "Repository"
-    ]
-    if "OWNER" in url:
+    url = address_of(root, "Repository")
+    if not url:
         return "You need the project from which this site was built; ask whoever gave you this site for it."
     return f"The project lies at <{url}>."
 

@@ -152,6 +152,7 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
 
     On the processor that computed the committed tables they must be the same byte for byte. Elsewhere, and between
     two folders, cells may differ as far as data/tolerances.csv says. The exit status is 1 if a table differs more.
+    An unpacked archive of `make artifact` has no git: there the tables must have the hashes of its crate.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ and why.
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import tempfile
 import zipfile
@@ -19,8 +20,12 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_float_dtype, is_numeric_dtype
 
+from repro_companion.run import digest
+
 REFERENCE = "# reference processor: "
 """How the first line of ``data/tolerances.csv`` begins; the name is LLVM's, which chooses the instructions."""
+CRATE = "ro-crate-metadata.json"
+"""What an archive of the project has in place of git: the hash of every table, and what wrote it."""
 
 
 @dataclass
@@ -60,7 +65,7 @@ def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) ->
         Counts, and what differs. ``scorecard.csv`` follows from the other tables: it is compared byte for byte or
         not at all.
     """
-    tolerances = pd.read_csv(root / "data" / "tolerances.csv", comment="#", dtype={"tolerance": float})
+    tolerances = read_tolerances(root)
     result = Comparison()
     for name in sorted({path.name for folder in (old, new) for path in folder.glob("*.csv")}):
         missing = [folder for folder in (old, new) if not (folder / name).is_file()]
@@ -99,36 +104,52 @@ def compare_tables(old: Path, new: Path, tolerances: pd.DataFrame) -> list[str]:
     if lost:
         return [f"{old.name} has {lost} rows that only one of the two has"]
     first, second = first.loc[common], second.loc[common]
-    texts = first.columns[[not is_float_dtype(first[column]) for column in first]]
-    rows = [" ".join(map(str, row)) for row in first[texts].itertuples(index=False)]
-    fits = [fnmatchcase(old.stem, table) for table in tolerances["table"]]
-    fitting = tolerances.loc[fits, ["row", "column", "tolerance"]]
-    found = []
+    rows, found = row_texts(first), []
     for column in first:
-        allowed = np.zeros(len(rows))
-        for row_pattern, column_pattern, tolerance in fitting.itertuples(index=False):
-            if fnmatchcase(str(column), column_pattern):
-                allowed[[fnmatchcase(row, row_pattern) for row in rows]] = tolerance
+        most = allowed(rows, old.stem, str(column), tolerances)
         moved = _moved(first[column], second[column])
-        if (moved > allowed).any():
-            worst = int(np.argmax(moved - allowed))
+        if (moved > most).any():
+            worst = int(np.argmax(moved - most))
             found.append(
-                f"{old.name}: {column} differs in {(moved > allowed).sum()} rows, most where the row is"
-                f" '{rows[worst]}': by {moved[worst]:.1e} of the column's largest; {allowed[worst]:.0e} is allowed"
+                f"{old.name}: {column} differs in {(moved > most).sum()} rows, most where the row is"
+                f" '{rows[worst]}': by {moved[worst]:.1e} of the column's largest; {most[worst]:.0e} is allowed"
             )
     return found
+
+
+def read_tolerances(root: Path) -> pd.DataFrame:
+    """Return the lines of ``data/tolerances.csv``."""
+    return pd.read_csv(root / "data" / "tolerances.csv", comment="#", dtype={"tolerance": float})
+
+
+def row_texts(table: pd.DataFrame) -> list[str]:
+    """Return the texts and whole numbers of each row, with blanks between them."""
+    texts = table.columns[[not is_float_dtype(table[column]) for column in table]]
+    return [" ".join(map(str, row)) for row in table[texts].itertuples(index=False)]
+
+
+def allowed(rows: list[str], table: str, column: str, tolerances: pd.DataFrame) -> np.ndarray:
+    """Return how far each cell of a column may move: as the last line says whose patterns fit."""
+    most = np.zeros(len(rows))
+    for line in tolerances.itertuples():
+        if fnmatchcase(table, str(line.table)) and fnmatchcase(column, str(line.column)):
+            most[[fnmatchcase(row, str(line.row)) for row in rows]] = line.tolerance
+    return most
 
 
 def compare_with_head(root: Path) -> Comparison:
     """Compare ``results/`` of a project with the tables that are committed.
 
-    On the reference processor every byte must be the same, elsewhere the tolerances hold.
+    On the reference processor every byte must be the same, elsewhere the tolerances hold. An unpacked archive has no
+    git but hashes in its crate: there every byte must be the same.
 
     Raises
     ------
     ValueError
-        If the project is no checkout of git.
+        If the project is neither a checkout of git nor an archive.
     """
+    if (root / CRATE).is_file() and not (root / ".git").exists():
+        return compare_with_crate(root)
     done = subprocess.run(
         ["git", "-C", root, "archive", "--format=zip", "HEAD", "results"], capture_output=True, check=False
     )
@@ -139,6 +160,20 @@ def compare_with_head(root: Path) -> Comparison:
             archive.extractall(folder)
         committed = Path(folder) / "results"
         return compare_folders(committed, root / "results", root, exact=on_reference_processor(root))
+
+
+def compare_with_crate(root: Path) -> Comparison:
+    """Compare ``results/`` of an unpacked archive with the hashes that its crate lists."""
+    parts = json.loads((root / CRATE).read_text(encoding="utf-8"))["@graph"]
+    sealed = {part["@id"]: part["sha256"] for part in parts if "sha256" in part}
+    here = {f"results/{path.name}": digest(path) for path in (root / "results").glob("*.csv")}
+    result = Comparison()
+    for name in sorted({*here, *(name for name in sealed if name.startswith("results/"))}):
+        if here.get(name) == sealed.get(name):
+            result.same += 1
+        else:
+            result.found.append(f"{name} is not the table of {CRATE}")
+    return result
 
 
 def on_reference_processor(root: Path) -> bool:

@@ -13,6 +13,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pandas as pd
 
+from repro_companion.artifact_page import MEASURED, appendix
 from repro_companion.claims import CLAIM, CLAIMS, claims_of, claims_table, headlines
 from repro_companion.papers.fetch import Source, amount, read_sources
 from repro_companion.run import recordings
@@ -97,6 +98,8 @@ def write_pages(root: Path, card: pd.DataFrame, real: pd.DataFrame) -> None:
         "values.json": json.dumps(home, ensure_ascii=False),
         "claims.md": headlines(claims, titles, PAPERS),
     }
+    if (root / MEASURED).is_file():
+        texts |= appendix(root, claims, titles, PAPERS)
     for page in claims["page"].unique():
         texts[f"claims_{Path(page).name}.md"] = claims_table(claims, page)
     for name, text in texts.items():

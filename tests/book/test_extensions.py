@@ -24,7 +24,7 @@ def extension_path(monkeypatch):
     """Make the extensions importable."""
     monkeypatch.syspath_prepend(str(BOOK / "_ext"))
     yield
-    for name in ("repro_links", "repro_site", "repro_sources"):
+    for name in ("repro_cite", "repro_links", "repro_site", "repro_sources"):
         sys.modules.pop(name, None)
 
 
@@ -225,3 +225,49 @@ def test_code_links_the_helper_that_is_meant():
     )
     assert once == f"{n('rig')}{dot}{load} {n('np')}{dot}{n('load')} {save} {n('x')}{dot}{n('save')}"
     assert sources.linked(once, uris) == once
+
+
+def test_a_page_is_cited_with_the_paper_that_it_shows():
+    """The authors are those of CITATION.cff; the entry of the paper is the one of the bibliography."""
+    cite = importlib.import_module("repro_cite")
+    cited = yaml.safe_load((BOOK.parent / "CITATION.cff").read_text(encoding="utf-8"))
+    entry = cite.entry_of_page(BOOK.parent, "notebooks/live", "50 % & more_or_less")
+    assert entry.startswith("@misc{repro_live,\n")
+    assert "title = {50 \\% \\& more\\_or\\_less}" in entry
+    assert f"author = {{{{{cited['authors'][0]['name']}}}}}" in entry
+    assert f"version {cited['version']}}}" in entry
+    assert entry.count("{") == entry.count("}")
+    known = (BOOK / "references.bib").read_text(encoding="utf-8")
+    for page, papers in {"table_2": ["baaij2023"], "imu_markers": ["martin2022"], "live": []}.items():
+        found = cite.entries_of_papers(BOOK.parent, f"notebooks/{page}")
+        assert re.findall(r"^@\w+\{(\w+),", "\n".join(found), re.M) == papers
+        assert all(one in known and one.count("{") == one.count("}") for one in found)
+
+
+@pytest.mark.parametrize("owner", ["OWNER", "somebody"])
+def test_pages_have_a_button_for_binder_once_the_owner_is_named(owner, tmp_path):
+    """One setting, in pyproject.toml; a page is then cited with its address too. Other options of the theme stay."""
+    cite = importlib.import_module("repro_cite")
+    text = (BOOK.parent / "pyproject.toml").read_text(encoding="utf-8").replace("OWNER", owner)
+    (tmp_path / "pyproject.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "CITATION.cff").symlink_to(BOOK.parent / "CITATION.cff")
+    options = {"launch_buttons": {"thebe": False}, "search_bar_text": "Search"}
+    config = SimpleNamespace(html_theme_options=dict(options))
+    cite.offer_binder(SimpleNamespace(srcdir=tmp_path / "book"), config)
+    found, entry = config.html_theme_options, cite.entry_of_page(tmp_path, "notebooks/live", "Live")
+    if owner == "OWNER":
+        assert found == options
+        assert "url" not in entry
+    else:
+        assert found["launch_buttons"]["binderhub_url"] == cite.BINDER
+        assert found["repository_url"] == "https://github.com/somebody/repro"
+        assert (found["launch_buttons"]["thebe"], found["search_bar_text"]) == (False, "Search")
+        assert "url = {https://somebody.github.io/repro/notebooks/live.html}" in entry
+
+
+def test_binder_gets_the_environment_of_everybody_else():
+    folder = BOOK.parent / ".binder"
+    assert (folder / "environment.yml").readlink() == Path("../environment.yml")
+    assert (folder / "postBuild").stat().st_mode & 0o111
+    targets = re.findall(r"^([.a-z-]+):(?!=)", (BOOK.parent / "Makefile").read_text(encoding="utf-8"), re.M)
+    assert set(re.findall(r"^make (\S+)", (folder / "postBuild").read_text(), re.M)) <= set(targets)

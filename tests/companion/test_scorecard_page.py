@@ -13,7 +13,10 @@ import pandas as pd
 import pytest
 
 from repro_companion import scorecard_page as page
+from repro_companion.cli import app
+from repro_companion.papers.others import FETCHED
 from repro_companion.scorecard import WITH_FILES, beside, kinds, scorecard
+from scripts.studies import STUDIES
 
 ROOT = Path(__file__).resolve().parents[2]
 INDEX = pd.read_csv(ROOT / "data/published/index.csv", dtype=str, keep_default_na=False)
@@ -63,7 +66,7 @@ def project(root: Path) -> Path:
     """Return a folder with the data, the notebooks and the texts of this project."""
     (root / "book").mkdir()
     texts = [f"book/{path.name}" for path in (ROOT / "book").glob("*.md")]
-    for name in ("data", "notebooks", *texts):
+    for name in ("data", "notebooks", "results", "scripts", "book/measured.csv", *texts):
         (root / name).symlink_to(ROOT / name)
     return root
 
@@ -297,3 +300,26 @@ def test_kinds_of_the_index_and_the_scorecard_do_not_mix(card):
     assert '<a href="scorecard.html?paper=B&amp;artefact=Table+1#all-rows"' in text
     text = page.verdict_of(pd.Series(entry | {"artefact": "eq. (1)"}), card)
     assert text == 'implemented <span class="setting">(<code>track</code>; a note)</span>'
+
+
+# For evaluators
+
+
+def test_every_claim_has_a_line_with_a_page_and_its_command(written):
+    lines = written["artifact_claims.md"].splitlines()
+    for claim in pd.read_csv(ROOT / "data/published/claims.csv", dtype=str).to_dict("records"):
+        (line,) = (line for line in lines if line.startswith(f"| {claim['claim']} ("))
+        assert (ROOT / f"{claim['page']}.ipynb").is_file()
+        assert f"| `make page P={Path(claim['page']).name}` [" in line
+        assert f"]({claim['page']}.ipynb) |" in line
+        assert re.search(r"\| [\d.]+\smin, [\d.]+\sMB \| ", line)
+
+
+def test_what_evaluators_are_given_can_be_typed(written):
+    """Studies and commands; a test of all texts looks at the targets of make."""
+    text = (ROOT / "book/artifact.md").read_text(encoding="utf-8") + "".join(written.values())
+    included = re.findall(r"\{include\} generated/(artifact_.+)", text)
+    assert sorted(included) == sorted(name for name in written if name.startswith("artifact_"))
+    assert {*re.findall(r"python scripts/studies\.py (\w+)", text)} == {*STUDIES}
+    assert {*re.findall(r"python scripts/others\.py (\w+)", text)} == {*FETCHED}
+    assert {*re.findall(r"\brepro ([a-z]+)\b(?=[^\n`]*`|\n| --)", text)} <= {*app}
