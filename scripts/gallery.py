@@ -43,8 +43,7 @@ smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 In the table the tip is known to so many millimetres, one standard deviation: in the *median* of random shapes, in all
 but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
 
-```{table}
-:class: as-cards
+{.as-cards}
 | robot | median | worst | blind | tracked |
 |---|---|---|---|---|
 """
@@ -111,7 +110,7 @@ def main() -> None:
         axes.figure.savefig(pictures / f"{name}.png", dpi=70, metadata={"Software": None})
         plt.close(axes.figure)
     found = {name: results(name) for name in TITLES}
-    page = HEAD + "".join(row for _, row in found.values()) + "```\n"
+    page = HEAD + "".join(row for _, row in found.values())
     page += "".join(section(name, said) for name, (said, _) in found.items())
     (ROOT / "book" / "gallery.md").write_text(re.sub(r"\n{3,}", "\n\n", page), encoding="utf-8")
 
