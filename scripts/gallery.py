@@ -43,6 +43,7 @@ smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 In the table the tip is known to so many millimetres, one standard deviation: in the *median* of random shapes, in all
 but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
 
+{.as-cards}
 | robot | median | worst | blind | tracked |
 |---|---|---|---|---|
 """
