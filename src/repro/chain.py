@@ -351,6 +351,11 @@ class Frames(NamedTuple):
     """Frame of the tip of every segment."""
 
 
+def kinds_of(chain: Frames) -> Array | None:
+    """Return the kinds of the segments; None where all are of constant curvature, and the others are not compiled."""
+    return None if (chain.kind == _CONSTANT).all() else chain.kind
+
+
 class Chain:
     """Segments from base to tip, with bounds of their coordinates: a robot without anything on it.
 
@@ -512,7 +517,7 @@ class Chain:
         chain, frame = self.frames(places)
         flat = rows_of(q)
         R, p, X = (np.empty((len(flat), len(chain.v), *own)) for own in ((3, 3), (3,), (self.n_q, 6)))
-        _all_frames(chain, flat, R, p, X)
+        _all_frames(chain, kinds_of(chain), flat, R, p, X)
         T = np.zeros((len(flat), len(places), 4, 4))
         T[..., 3, 3] = 1.0
         for k, where in enumerate(places):
@@ -649,23 +654,30 @@ def _affine_curvature(q, first, length, v, T, W):
 
 
 @kernel
-def _in_segment(chain, g, q, v, T, W, J):
+def _in_segment(kinds, chain, g, q, v, T, W, J):
     """Write the frame at ``v`` of a segment in the frame of its base, and its twists (turn, motion of the origin)."""
-    kind, first = chain.kind[g], chain.first[g]
-    n = chain.first[g + 1] - first
-    if kind == _CONSTANT:
-        _constant_curvature(q, first, n == 3, chain.size[g, 0], chain.size[g, 1], v, T, W)
-        return
-    if kind == _AFFINE:
-        _affine_curvature(q, first, chain.size[g, 0], v, T, W)
-        return
+    first = chain.first[g]
+    if kinds is not None:  # known when it is compiled
+        if kinds[g] == _AFFINE:
+            _affine_curvature(q, first, chain.size[g, 0], v, T, W)
+            return
+        if kinds[g] != _CONSTANT:
+            _rigid(kinds[g], chain.size[g], q, first, v, T, W, J)
+            return
+    extensible = chain.first[g + 1] - first == 3
+    _constant_curvature(q, first, extensible, chain.size[g, 0], chain.size[g, 1], v, T, W)
+
+
+@kernel
+def _rigid(kind, size, q, first, v, T, W, J):
+    """Write the same of a link, a joint or a free body."""
     T[:, :], W[:, :] = 0.0, 0.0
     if kind == _LINK:
-        turn(chain.size[g, 3], chain.size[g, 4], chain.size[g, 5], T, J)
+        turn(size[3], size[4], size[5], T, J)
         for i in range(3):
-            T[i, 3] = v * chain.size[g, i]
+            T[i, 3] = v * size[i]
     else:
-        axes, c = int(chain.size[g, 0]), 0
+        axes, c = int(size[0]), 0
         if kind == _FREE:
             for c in range(3):
                 T[c, 3], W[c, 3 + c] = q[first + c], 1.0
@@ -683,7 +695,7 @@ def _in_segment(chain, g, q, v, T, W, J):
 
 
 @kernel
-def frames(chain, q, slopes, R, p, X, T, W, J):
+def frames(kinds, chain, q, slopes, R, p, X, T, W, J):
     """Write rotation, position and own twists of every frame, in the base frame; ``T``, ``W`` and ``J`` are room.
 
     ``X[f, c]`` is the twist of frame ``f`` by coordinate ``c`` of its own segment, referred to the origin.
@@ -696,7 +708,7 @@ def frames(chain, q, slopes, R, p, X, T, W, J):
                 for j in range(3):
                     R[f, i, j] = 1.0 if i == j else 0.0
             continue
-        _in_segment(chain, g, q, chain.v[f], T, W, J)
+        _in_segment(kinds, chain, g, q, chain.v[f], T, W, J)
         b = chain.tip[g - 1] if g > 0 else 0
         for i in range(3):
             p[f, i] = p[b, i] + R[b, i, 0] * T[0, 3] + R[b, i, 1] * T[1, 3] + R[b, i, 2] * T[2, 3]
@@ -714,11 +726,11 @@ def frames(chain, q, slopes, R, p, X, T, W, J):
 
 
 @kernel(entry=True, allocates=True)
-def _all_frames(chain, q, R, p, X):
+def _all_frames(chain, kinds, q, R, p, X):
     """Frames of a batch, and their twists by all coordinates."""
     T, W, J, own = np.zeros((3, 4)), np.zeros((6, 6)), np.zeros((3, 3)), np.zeros((len(chain.v), 6, 6))
     for n in range(len(q)):
-        frames(chain, q[n], len(q) > 0, R[n], p[n], own, T, W, J)
+        frames(kinds, chain, q[n], len(q) > 0, R[n], p[n], own, T, W, J)
         for f in range(len(chain.v)):
             X[n, f] = 0.0
             for g in range(chain.segment[f] + 1):

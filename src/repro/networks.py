@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,7 +87,7 @@ class Network:
         flat = np.ascontiguousarray(rows.reshape(-1, self.n_inputs))
         u, slopes = np.empty(len(flat)), np.empty(flat.shape)
         act = RELU if self.activation == "relu" else SILU
-        _predict_rows(np.array(self.widths), act, self.weights, flat, u, slopes)
+        _predict_rows(np.array(self.widths), act, self.weights[None], flat, u, slopes)
         return u.reshape(rows.shape[:-1]), slopes.reshape(rows.shape)
 
 
@@ -167,6 +167,20 @@ def _fast_network(state: dict[str, Array]) -> Network:
     return Network(layers, "silu", "cosines")
 
 
+class Layers(NamedTuple):
+    """Networks of one architecture for the kernels, with room for one evaluation."""
+
+    widths: Array
+    activation: int
+    weights: Array
+    """Of every network ``[n, weights]``."""
+    value: Array
+    slope: Array
+    back: Array
+    on: Array
+    """A list of indices."""
+
+
 @kernel(allocates=True)
 def nodes(widths, weights):
     """Room for one evaluation of ``predict``: values, slopes and gradients of the nodes, and a list of indices."""
@@ -178,9 +192,10 @@ def nodes(widths, weights):
 
 
 @kernel(reorder=True)
-def predict(widths, activation, weights, xi, slopes, gradient, room):
-    """Return the reading predicted for relations; write its slopes to ``gradient`` if ``slopes``."""
-    value, slope, back, on = room
+def predict(network, which, xi, slopes, gradient):
+    """Return the reading predicted for relations by a network; write its slopes to ``gradient`` if ``slopes``."""
+    widths, activation, weights = network.widths, network.activation, network.weights[which]
+    value, slope, back, on = network.value, network.slope, network.back, network.on
     last = len(widths) - 1
     for i in range(widths[0]):
         value[0, i] = xi[i]
@@ -264,9 +279,9 @@ def _nonzero(x, n, on):
 
 @kernel(entry=True, allocates=True)
 def _predict_rows(widths, activation, weights, xi, u, slopes):
-    room = nodes(widths, weights)
+    network = Layers(widths, activation, weights, *nodes(widths, weights))
     for n in range(len(xi)):
-        u[n] = predict(widths, activation, weights, xi[n], True, slopes[n], room)
+        u[n] = predict(network, 0, xi[n], len(xi) > 0, slopes[n])
 
 
 class TorchModel:

@@ -19,16 +19,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from repro.chain import Frames, frames, turn
+from repro.chain import Frames, frames, kinds_of, turn
 from repro.common import Array, ArrayLike, bad_input, kernel, numbers, require, rows_of
 from repro.magnets import Cube
-from repro.networks import RELU, SILU, Network, nodes, predict
+from repro.networks import RELU, SILU, Layers, Network, nodes, predict
 from repro.parts import Assembly
 
-_MULTIPOLES, _NETWORKS = range(2)
 _VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
-_WHOLE, _REAL = 10, 9
-"""Number of tables of whole and of real numbers that are packed."""
 
 
 class Tables(NamedTuple):
@@ -49,65 +46,50 @@ class Tables(NamedTuple):
     offset: Array
     earth: Array
     """Field [mT] for multipoles, else its direction for the relation lambda."""
-    model: int
     angles: bool
-    activation: int
-    widths: Array
     network: Array
     """Which network predicts each reading."""
-    weights: Array
+    widths: Array
+    silu: bool
 
 
-def pack(tables: Tables) -> tuple[Array, Array, Array]:
-    """Return whole numbers, numbers and weights as three flat arrays: numba takes few arguments much faster.
+def pack(t: Tables) -> tuple[Array, Array]:
+    """Return the tables as whole numbers and numbers in two flat arrays: numba takes few arguments much faster.
 
     The whole numbers begin with where every table begins and ends, first those of whole numbers.
     """
-    t, c = tables, tables.chain
-    head = [t.moments.shape[1], t.model, t.angles, t.activation]
-    whole = [
-        head,
-        c.kind,
-        c.first,
-        c.segment,
-        c.tip,
-        t.magnet_frame,
-        t.row_frame,
-        t.imu_frame,
-        t.widths,
-        t.network,
-    ]
+    c, head = t.chain, [t.moments.shape[1], t.angles, t.silu]
+    of_chain = [c.kind, c.first, c.segment, c.tip]
+    whole = [head, *of_chain, t.magnet_frame, t.row_frame, t.imu_frame, t.network, t.widths]
     real = [c.size, c.v, t.magnet_place, t.row_place, t.imu_rotation, t.moments, t.gain, t.offset, t.earth]
     ends = [np.cumsum([0, *map(np.size, parts)]) for parts in (whole, real)]
-    ends[0] += _WHOLE + _REAL + 2
+    ends[0] += len(ends[0]) + len(ends[1])
     ints = np.concatenate([*ends, *whole]).astype(np.int64)
-    return ints, np.concatenate([np.ravel(x) for x in real]).astype(np.float64), t.weights
+    return ints, np.concatenate([np.ravel(x) for x in real]).astype(np.float64)
 
 
 @kernel(allocates=True)
-def _whole(ints, k):
-    return ints[ints[k] : ints[k + 1]]
-
-
-@kernel(allocates=True)
-def _real(ints, floats, k):
-    return floats[ints[_WHOLE + 1 + k] : ints[_WHOLE + 2 + k]]
-
-
-@kernel(allocates=True)
-def unpack(ints, floats, weights):
-    """Return the tables as views of the three arrays, by their numbers in the lists of ``pack``."""
-    terms, model, angles, activation = _whole(ints, 0)
+def unpack(i, x):
+    """Return the tables as views of the two arrays, by their order in the lists of ``pack``."""
     chain = Frames(
-        _whole(ints, 1), _real(ints, floats, 0).reshape(-1, 6), _whole(ints, 2), _whole(ints, 3),
-        _real(ints, floats, 1), _whole(ints, 4),
+        i[i[1] : i[2]], x[i[11] : i[12]].reshape(-1, 6), i[i[2] : i[3]], i[i[3] : i[4]],
+        x[i[12] : i[13]], i[i[4] : i[5]],
     )  # fmt: skip
+    terms, angles, silu = i[i[0]], i[i[0] + 1] == 1, i[i[0] + 2] == 1
     return Tables(
-        chain, _whole(ints, 5), _real(ints, floats, 2).reshape(-1, 6), _whole(ints, 6),
-        _real(ints, floats, 3).reshape(-1, 6), _whole(ints, 7), _real(ints, floats, 4).reshape(-1, 3, 3),
-        _real(ints, floats, 5).reshape(-1, terms), _real(ints, floats, 6), _real(ints, floats, 7),
-        _real(ints, floats, 8), model, angles == 1, activation, _whole(ints, 8), _whole(ints, 9), weights,
+        chain, i[i[5] : i[6]], x[i[13] : i[14]].reshape(-1, 6), i[i[6] : i[7]],
+        x[i[14] : i[15]].reshape(-1, 6), i[i[7] : i[8]], x[i[15] : i[16]].reshape(-1, 3, 3),
+        x[i[16] : i[17]].reshape(-1, terms), x[i[17] : i[18]], x[i[18] : i[19]], x[i[19] : i[20]],
+        angles, i[i[8] : i[9]], i[i[9] : i[10]], silu,
     )  # fmt: skip
+
+
+@kernel(allocates=True)
+def network_for(t, weights):
+    """Return the layers of the networks with room for one evaluation; None without weights."""
+    if weights is None:  # known when it is compiled
+        return None
+    return Layers(t.widths, SILU if t.silu else RELU, weights, *nodes(t.widths, weights))
 
 
 class Room(NamedTuple):
@@ -130,24 +112,25 @@ class Room(NamedTuple):
     """Relations of the sensor at hand, and slopes of its reading."""
     wrenches: Array
     """Force and torque of every magnet on the sensor at hand; last the torque of the Earth's field."""
-    nodes: tuple[Array, Array, Array, Array]
 
 
 @kernel(allocates=True)
 def room_for(t):
-    """Return the room for one evaluation."""
+    """Return the room for one evaluation, cut from few arrays: each kind that is made takes time to compile."""
     f, m = len(t.chain.v), len(t.magnet_frame)
+    frames, pairs, rest = np.zeros(48 * f), np.zeros(26 * m + 14), np.zeros(57)
     return Room(
-        np.zeros((f, 3, 3)), np.zeros((f, 3)), np.zeros((f, 6, 6)), np.zeros((3, 4)), np.zeros((6, 6)),
-        np.zeros((3, 3)), np.zeros((m, 6)), np.zeros(6), np.zeros((m, 6)), np.zeros(1 + 4 * m),
-        np.zeros(1 + 4 * m), np.zeros((m + 1, 6)), nodes(t.widths, t.weights),
+        frames[: 9 * f].reshape(f, 3, 3), frames[9 * f : 12 * f].reshape(f, 3), frames[12 * f :].reshape(f, 6, 6),
+        rest[:12].reshape(3, 4), rest[12:48].reshape(6, 6), rest[48:].reshape(3, 3),
+        pairs[: 6 * m].reshape(m, 6), pairs[6 * m : 6 * m + 6], pairs[6 * m + 6 : 12 * m + 6].reshape(m, 6),
+        pairs[12 * m + 6 : 16 * m + 7], pairs[16 * m + 7 : 20 * m + 8], pairs[20 * m + 8 :].reshape(m + 1, 6),
     )  # fmt: skip
 
 
 @kernel
-def geometry(t, q, slopes, room):
+def geometry(kinds, t, q, slopes, room):
     """Write all frames and the places of the magnets at a configuration."""
-    frames(t.chain, q, slopes, room.R, room.p, room.X, room.T, room.W, room.L)
+    frames(kinds, t.chain, q, slopes, room.R, room.p, room.X, room.T, room.W, room.L)
     R, place, out = room.R, t.magnet_place, room.magnets
     for k in range(len(t.magnet_frame)):
         f = t.magnet_frame[k]
@@ -312,25 +295,25 @@ def rotation_vector(R, out):
 
 
 @kernel
-def evaluate(t, q, slopes, u_hat, J, room):
+def evaluate(kinds, network, t, q, slopes, u_hat, J, room):
     """Write the readings predicted at one configuration, and their slopes if ``slopes``.
 
     The slopes of an IMU are its turns in the base frame, not the slopes of its rotation vector.
     """
-    geometry(t, q, slopes, room)
+    geometry(kinds, t, q, slopes, room)
     n_s = len(t.row_frame)
     for j in range(n_s):
         relate(t, j, room)
-        if t.model == _MULTIPOLES:
+        if network is None:  # known when it is compiled
             u = _multipoles(t.moments, room.xi, room.gradient)
         else:
-            weights = t.weights[t.network[j]]
-            u = predict(t.widths, t.activation, weights, room.xi, slopes, room.gradient, room.nodes)
+            u = predict(network, t.network[j], room.xi, slopes, room.gradient)
         u_hat[j] = t.gain[j] * u + t.offset[j]
         if slopes:
             wrenches(t, room)
             pull_back(t, j, t.gain[j], room, J)
-    _orientations(t, slopes, u_hat, J, room)
+    if kinds is not None:
+        _orientations(t, slopes, u_hat, J, room)
 
 
 @kernel
@@ -354,14 +337,18 @@ def _orientations(t, slopes, u_hat, J, room):
 
 
 @kernel
-def difference(n_s, u, u_hat, r, A, B, W):
-    """Write what was read beyond what was predicted, NaN where nothing was read.
-
-    Of an IMU that is the rotation vector, in the base frame, from the predicted to the measured orientation. ``A``,
-    ``B`` and ``W`` are room.
-    """
+def difference(n_s, u, u_hat, r):
+    """Write what was read beyond what was predicted, NaN where nothing was read."""
     for j in range(n_s):
         r[j] = u[j] - u_hat[j] if math.isfinite(u[j]) else math.nan
+
+
+@kernel
+def turned(n_s, u, u_hat, r, A, B, W):
+    """Write the same for IMUs: the rotation vector, in the base frame, from predicted to measured orientation.
+
+    ``A``, ``B`` and ``W`` are room.
+    """
     for row in range(n_s, len(u), 3):
         if not (math.isfinite(u[row]) and math.isfinite(u[row + 1]) and math.isfinite(u[row + 2])):
             r[row : row + 3] = math.nan
@@ -375,18 +362,18 @@ def difference(n_s, u, u_hat, r, A, B, W):
 
 
 @kernel(entry=True, allocates=True)
-def _batch(ints, floats, weights, q, task, u, J, extra):
+def _batch(ints, floats, weights, kinds, q, task, u, J, extra):
     """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
 
     ``extra`` takes the relations or the wrenches.
     """
-    t = unpack(ints, floats, weights)
-    room = room_for(t)
+    t = unpack(ints, floats)
+    network, room = network_for(t, weights), room_for(t)
     for n in range(len(q)):
         if task <= _SLOPES:
-            evaluate(t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
+            evaluate(kinds, network, t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
             continue
-        geometry(t, q[n], False, room)
+        geometry(kinds, t, q[n], task == _SLOPES, room)
         for j in range(len(t.row_frame)):
             relate(t, j, room)
             if task == _RELATIONS:
@@ -402,7 +389,8 @@ def batch_difference(n_s, u, u_hat, r):
     """Write what was read beyond what was predicted for a batch, rotations behind ``n_s`` plain readings."""
     A, B, W = np.zeros((3, 4)), np.zeros((3, 3)), np.zeros((6, 6))
     for n in range(len(u)):
-        difference(n_s, u[n], u_hat[n], r[n], A, B, W)
+        difference(n_s, u[n], u_hat[n], r[n])
+        turned(n_s, u[n], u_hat[n], r[n], A, B, W)
 
 
 _NO_ROWS, _NO_SLOPES = np.empty((0, 0)), np.empty((1, 0, 0))
@@ -411,9 +399,6 @@ _NO_ROWS, _NO_SLOPES = np.empty((0, 0)), np.empty((1, 0, 0))
 def _zero_network(width: int, inputs: str) -> Network:
     """Predict nothing; of the type of the paper's networks, so that one compilation serves them and multipoles."""
     return Network([(np.zeros((1, width), np.float32), np.zeros(1, np.float32))], "relu", inputs)
-
-
-_NO_NETWORK = _zero_network(1, "cosines")
 
 
 @runtime_checkable
@@ -488,7 +473,7 @@ class Sensing:
         complete = not robot.sensors or robot.magnets or earth is not None
         require(complete, "robot", owner, "one with magnets", "none")
         self.moments = self._moments(moments, l_max)
-        networks = [_NO_NETWORK] if model is None else self._networks(model)
+        networks = [] if model is None else self._networks(model)
         default = [0.0, 0.0, 0.0] if model is None else [1.0, 0.0, 0.0]
         along = numbers(default if earth is None else earth, "earth", owner, (3,))
         if model is not None:
@@ -513,14 +498,16 @@ class Sensing:
             gain=self._per_reading(gain, "gain"),
             offset=self._per_reading(offset, "offset"),
             earth=along,
-            model=_MULTIPOLES if model is None else _NETWORKS,
-            angles=networks[0].inputs == "angles",
-            activation=RELU if networks[0].activation == "relu" else SILU,
-            widths=np.array(networks[0].widths),
-            network=self._network_of_reading(len(networks)),
-            weights=np.stack([network.weights for network in networks]),
+            angles=model is not None and networks[0].inputs == "angles",
+            network=self._network_of_reading(max(len(networks), 1)),
+            widths=np.array(networks[0].widths if networks else [0]),
+            silu=model is not None and networks[0].activation == "silu",
         )
-        self.packed = pack(self.tables)
+        kinds = chain.kind if robot.imus else kinds_of(chain)
+        weights = np.stack([network.weights for network in networks]) if networks else None
+        self.packed = (*pack(self.tables), weights, kinds)
+        """For kernels: the tables, then weights and kinds of segments. Without a network there are no weights, and
+        without IMUs or segments of other kinds than constant curvature no kinds: what these need is not compiled."""
 
     def _moments(self, moments: ArrayLike | None, l_max: int) -> Array:
         n_m = len(self.robot.magnets)
@@ -569,7 +556,8 @@ class Sensing:
         """Return the relations ``[..., s, 1 + 4 m]`` of eq. (1) that the model takes [rad or cosines; m]."""
         q = self.robot.check_q(q, "Sensing")
         xi = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
-        _batch(*self.packed, rows_of(q), _RELATIONS, _NO_ROWS, _NO_SLOPES, xi)
+        ints, floats, _, kinds = self.packed
+        _batch(ints, floats, None, kinds, rows_of(q), _RELATIONS, _NO_ROWS, _NO_SLOPES, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
 
     def too_near(self, q: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""Compile the kernels that pages and tests use, in two processes beside each other, before these start.
+"""Compile the kernels that pages and tests use, in processes beside each other, before these start.
 
 ``python -m repro_companion.kernels`` compiles what this machine does not have yet. Pages or tests that start together
 would else each compile the same.
@@ -9,17 +9,37 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 
 def of_robots() -> None:
-    """Compile sensor models of robots, descent, least squares and the Kalman filter, with a network and without."""
+    """Compile what arcs of constant curvature and multipoles need: descent, least squares and the Kalman filter."""
     import repro
     from repro_companion.papers import baaij
 
-    start = [0.0, 0.0, 0.003]
-    sensing, bounds = repro.Sensing(baaij.robot(1)), baaij.bounds(1)
+    _follow(repro.Sensing(baaij.robot(1)))
+
+
+def of_models() -> None:
+    """Compile the same for networks, and for robots with segments of other kinds."""
+    import repro
+    from repro.networks import Network
+    from repro_companion.papers import baaij
+
+    robot = baaij.robot(1)
+    layer = np.full((1, 1 + 4 * len(robot.magnets)), 0.1, np.float32), np.zeros(1, np.float32)
+    _follow(repro.Sensing(robot, Network([layer], "relu", "angles")))
+    _follow(repro.Sensing(robot.replaced(segments=[*robot.segments, repro.Link(0.01)])))
+
+
+def _follow(sensing: Any) -> None:
+    """Follow a robot of one segment by every method."""
+    import repro
+    from repro_companion.papers import baaij
+
+    start, bounds = [0.0, 0.0, 0.003], baaij.bounds(1)
     readings = np.tile(sensing(start), (3, 1))
     for method in (
         baaij.descent(sensing, 1),
@@ -45,7 +65,7 @@ def of_filters() -> None:
         state, _ = rod.step(state, np.zeros(9), t)
 
 
-PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "filters": of_filters}
+PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "models": of_models, "filters": of_filters}
 
 
 def compile_kernels() -> None:

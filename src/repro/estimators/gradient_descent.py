@@ -20,7 +20,7 @@ from repro.estimators.base import (
     start,
 )
 from repro.parts import Assembly
-from repro.sensing import Sensing, difference, evaluate, room_for, sensing_of, unpack
+from repro.sensing import Sensing, difference, evaluate, network_for, room_for, sensing_of, turned, unpack
 
 _ABSURD = 1e3
 """Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
@@ -221,17 +221,19 @@ class GradientDescent:
 
 
 @kernel(entry=True, allocates=True)
-def _descend(ints, floats, weights, u, moves, limits, momentum, iterations, q, b, u_hat, status):
+def _descend(ints, floats, weights, kinds, u, moves, limits, momentum, iterations, q, b, u_hat, status):
     """Descend for every member of a batch."""
-    t = unpack(ints, floats, weights)
-    room, n, s = room_for(t), q.shape[1], u.shape[1]
+    t, n, s = unpack(ints, floats), q.shape[1], u.shape[1]
+    network, room = network_for(t, weights), room_for(t)
     x, hat, r, J = np.zeros(n), np.zeros(s), np.zeros(s), np.zeros((s, n))
     for k in range(len(q)):
         x[:] = q[k]
         for iteration in range(iterations):
             last = iteration == iterations - 1
-            evaluate(t, x, not last, hat, J, room)
-            difference(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
+            evaluate(kinds, network, t, x, not last, hat, J, room)
+            difference(len(t.row_frame), u[k], hat, r)
+            if kinds is not None:
+                turned(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
             _judge(hat, r, J, moves[k], limits, momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
 
 

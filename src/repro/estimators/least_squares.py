@@ -43,7 +43,7 @@ from repro.estimators.base import (
     spread,
     start,
 )
-from repro.sensing import difference, evaluate, room_for, unpack
+from repro.sensing import difference, evaluate, network_for, room_for, turned, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
@@ -254,13 +254,14 @@ class LevenbergMarquardt(Tuned):
         held = np.zeros(of_q, np.bool_) if known is None else spread(~np.isnan(known), of_q)
         if known is not None:
             q = np.where(held, known, q)
-        mean, information = _NO_PRIOR
-        if prior is not None:
-            mean, information = in_line(batch, spread(prior[0], of_q), spread(prior[1], of_C))
+        priors = _NO_PRIOR
+        if prior is not None:  # means, and below each its information
+            means, information = spread(prior[0], of_q), spread(prior[1], of_C)
+            priors = np.concatenate([means[..., None, :], information], axis=-2).reshape(-1, n)
         found, rows, C, u_hat = spread(q, of_q), spread(u, of_u), np.empty(of_C), np.empty(of_u)
         at_bound, status, counts = np.empty(of_q, bool), np.empty(of_status), np.empty(of_counts, int)
         flat = in_line(batch, held, rows, found, C, u_hat, at_bound, status, counts)
-        arrays = (self._settings, by_bounds, mean, information, *flat)
+        arrays = (self._settings, by_bounds, priors, *flat)
         good = _fit(*self.model.packed, *arrays) if self.model.compiled else self._fit_callable(*arrays)
         if not good:
             rest = None if prior is not None else each(q if rest is None else rest, batch, n)
@@ -304,7 +305,7 @@ class LevenbergMarquardt(Tuned):
 
     def _fit_callable(self, *arrays: Array) -> bool:
         """Fit every member of a batch, whose model is no kernel: what ``_fit`` takes and fills."""
-        settings, by_bounds, mean, information, held, u, q, C, u_hat, at_bound, status, counts = arrays
+        settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts = arrays
         n = self.n_q
         todo, rows = np.arange(len(C) // n), u.reshape(len(C) // n, -1)
         status.reshape(-1, _FIELDS)[:] = _UNTRIED
@@ -313,7 +314,7 @@ class LevenbergMarquardt(Tuned):
             hat, J = self.model.linearise(x.reshape(-1, n)[todo])
             r = self.model.difference(rows[todo], hat)
             slopes = np.ascontiguousarray(hat), r, np.ascontiguousarray(J)
-            _advance_all(todo, *slopes, settings, mean, information, held, x, q, u_hat, A, g, status)
+            _advance_all(todo, *slopes, settings, priors, held, x, q, u_hat, A, g, status)
             todo = todo[status[todo * _FIELDS + _DONE] == 0]
         return _finish_all(settings, by_bounds, A, q, held, C, at_bound, status, counts)
 
@@ -326,7 +327,7 @@ class LevenbergMarquardt(Tuned):
         return np.take_along_axis(q, best[None, ..., None], axis=0)[0]
 
 
-_NO_PRIOR = (np.zeros(0), np.zeros((0, 0)))
+_NO_PRIOR = np.zeros((0, 0))
 _NOTHING = np.zeros(0)
 _UNTRIED = np.array([0.0, math.inf, -1.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -351,10 +352,10 @@ def _fit(
     ints,
     floats,
     weights,
+    kinds,
     settings,
     by_bounds,
-    mean,
-    information,
+    priors,
     held,
     u,
     q,
@@ -365,36 +366,31 @@ def _fit(
     counts,
 ):
     """Fit every member of a batch; members stand one after the other."""
-    t = unpack(ints, floats, weights)
-    room, n = room_for(t), C.shape[1]
+    t, n = unpack(ints, floats), C.shape[1]
+    network, room = network_for(t, weights), room_for(t)
     s = len(settings) - 2 * n - 2
-    x, g, A = np.zeros(n), np.zeros(n), np.zeros((n, n))
-    hat, r, J = np.zeros(s), np.zeros(s), np.zeros((s, n))
-    delta, L, good = np.zeros(n), np.zeros((n, n)), True
+    x, g, A = np.zeros(n), np.zeros(n), np.zeros(n * n).reshape(n, n)
+    hat, r, J = np.zeros(s), np.zeros(s), np.zeros(s * n).reshape(s, n)
+    delta, L, good = np.zeros(n), np.zeros(n * n).reshape(n, n), True
     for k in range(len(C) // n):
         at, of = slice(k * n, (k + 1) * n), slice(k * s, (k + 1) * s)
-        own_mean, own_information, own_held, row, best, best_hat = (
-            mean[at],
-            information[at],
-            held[at],
-            u[of],
-            q[at],
-            u_hat[of],
-        )
+        prior = priors[k * (n + 1) : (k + 1) * (n + 1)]
+        own_held, row, best, best_hat = held[at], u[of], q[at], u_hat[of]
         says = status[k * _FIELDS : (k + 1) * _FIELDS]
         _begin(says)
         for a in range(n):
             x[a] = best[a]
         while says[_DONE] == 0.0:
-            evaluate(t, x, n > 0, hat, J, room)
-            difference(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
+            evaluate(kinds, network, t, x, n > 0, hat, J, room)
+            difference(len(t.row_frame), row, hat, r)
+            if kinds is not None:
+                turned(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
             advance(
                 hat,
                 r,
                 J,
                 settings,
-                own_mean,
-                own_information,
+                prior,
                 own_held,
                 x,
                 best,
@@ -413,7 +409,7 @@ def _fit(
 
 
 @kernel(entry=True, allocates=True)
-def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status):
+def _advance_all(todo, hat, r, J, settings, priors, held, x, q, u_hat, A, g, status):
     s, n = J.shape[1:]
     delta, L = np.zeros(n), np.zeros((n, n))
     for i in range(len(todo)):
@@ -423,9 +419,9 @@ def _advance_all(todo, hat, r, J, settings, mean, information, held, x, q, u_hat
             slice(k * s, (k + 1) * s),
             status[k * _FIELDS : (k + 1) * _FIELDS],
         )
+        prior = priors[k * (n + 1) : (k + 1) * (n + 1)]
         advance(
-            hat[i], r[i], J[i], settings, mean[at], information[at], held[at], x[at], q[at], u_hat[of], A[at], g[at],
-            says, delta, L,
+            hat[i], r[i], J[i], settings, prior, held[at], x[at], q[at], u_hat[of], A[at], g[at], says, delta, L
         )  # fmt: skip
 
 
@@ -511,16 +507,16 @@ def _directions_seen(A, by_bounds, L):
 
 
 @kernel
-def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, status, delta, L):
+def advance(hat, r, J, settings, prior, held, x, q, u_hat, A, g, status, delta, L):
     """Judge the trial ``x``, whose residuals are ``r`` and slopes ``J``, and write the next one to ``x``.
 
-    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``mean`` and ``information`` are empty without a
-    prior.
+    ``q``, ``u_hat``, ``A``, ``g`` belong to the best trial so far. ``prior`` is the mean with the information below
+    it, or empty.
     """
     n, s = len(x), len(r)
     low, high, weight = settings[:n], settings[n : 2 * n], settings[2 * n : 2 * n + s]
     tolerance, iterations = settings[2 * n + s], settings[2 * n + s + 1]
-    cost, status[_USED] = _cost(hat, r, weight, mean, information, x)
+    cost, status[_USED] = _cost(hat, r, weight, prior, x)
     # Near the minimum rounding hides which is better: a step that is no worse than that is taken.
     better, damping = cost < status[CHI2] * (1.0 + 8.0 * _EPS), status[_DAMPING]
     damping = min(max(damping / 10.0 if better else damping * 10.0, 1e-12), 1e12)
@@ -529,11 +525,11 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
     if better:
         status[CHI2] = cost
         _normal_equations(hat, r, J, weight, x, q, u_hat, A, g)
-        for a in range(n if len(mean) else 0):
+        for a in range(n if len(prior) else 0):
             for b in range(n):
-                g[a] -= information[a, b] * (x[b] - mean[b])
+                g[a] -= prior[1 + a, b] * (x[b] - prior[0, b])
                 if b <= a:
-                    A[a, b] += information[a, b]
+                    A[a, b] += prior[1 + a, b]
     if status[TURN] >= iterations or status[CHI2] == math.inf:
         status[_DONE] = 1.0
         return
@@ -550,7 +546,7 @@ def advance(hat, r, J, settings, mean, information, held, x, q, u_hat, A, g, sta
 
 
 @kernel
-def _cost(hat, r, weight, mean, information, x):
+def _cost(hat, r, weight, prior, x):
     """Return squared residuals in units of the noise, with what the prior is off, and of how many readings.
 
     They are infinite if the model is.
@@ -562,9 +558,9 @@ def _cost(hat, r, weight, mean, information, x):
             cost += (weight[j] * r[j]) ** 2
         if not math.isfinite(hat[j]):
             cost = math.inf
-    for a in range(len(mean)):
-        for b in range(len(mean)):
-            cost += (x[a] - mean[a]) * information[a, b] * (x[b] - mean[b])
+    for a in range(len(prior) - 1):
+        for b in range(len(prior) - 1):
+            cost += (x[a] - prior[0, a]) * prior[1 + a, b] * (x[b] - prior[0, b])
     return cost, used
 
 
