@@ -334,9 +334,7 @@ def test_poses_a_little_outside_the_bounds_are_left_out_by_their_lines(good, tmp
     frame.iloc[800:850, 1] = 21.7
     frame.to_csv(tmp_path / "p.csv", index=False)
     found = evaluate_files(readings, tmp_path / "p.csv", path, tmp_path / "out")
-    words = (
-        "left out, outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 50 of 3000 (lines 802 to 851)."
-    )
+    words = "left out, outside the robot's bounds, for delta_x_1 -20 to 20 mm: 50 of 3000 (lines 802 to 851)."
     assert f"Poses of p.csv {words}" in str(found)
     assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
     frame.iloc[::2, 1] = 21.7
@@ -683,20 +681,24 @@ def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):
     def no_reading(frame):
         frame.loc[30:39, "u2_mT"] = np.nan
 
+    def no_time(frame):
+        frame.loc[11, "start_s"] = np.nan
+
     rewritten(poses, too_far)
+    rewritten(poses, no_time)
     rewritten(readings, no_reading)
     report = calibrate_files(readings, poses, path, tmp_path / "c.json")
-    assert report.found.poses == 18
+    assert report.found.poses == 17
     assert (
-        "2 poses lack a reading or a coordinate and are left out: poses.csv, line 5, poses.csv, line 9."
-        in str(report)
+        "3 poses lack a reading, a coordinate or a time and are left out: poses.csv, line 5, poses.csv, line 9, "
+        "poses.csv, line 13." in str(report)
     )
 
     def a_little(frame):
         frame.loc[7, "delta_x_1_mm"] = 22.5
 
     text = str(calibrate_files(readings, rewritten(poses, a_little), path, tmp_path / "d.json"))
-    assert "outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 1 of 20 (line 9)." in text
+    assert "outside the robot's bounds, for delta_x_1 -20 to 20 mm: 1 of 20 (line 9)." in text
 
     def mirrored(frame):
         frame.loc[4, ["delta_x_1_mm", "delta_y_1_mm"]] *= -1
