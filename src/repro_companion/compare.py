@@ -19,6 +19,8 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_float_dtype, is_numeric_dtype
 
+from repro.common import bad_input
+
 REFERENCE = "# reference processor: "
 """How the first line of ``data/tolerances.csv`` begins; the name is LLVM's, which chooses the instructions."""
 
@@ -154,6 +156,8 @@ def _read(path: Path) -> pd.DataFrame:
         return pd.read_csv(path, keep_default_na=False, na_values=[""])  # a label "None" is a label
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
+    except ValueError as error:
+        raise bad_input("file", str(path), "a table in UTF-8 with commas", error) from error
 
 
 def _keys(first: pd.DataFrame, second: pd.DataFrame) -> list[str]:
