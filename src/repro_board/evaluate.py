@@ -329,10 +329,11 @@ def _together(
     clean, same = without_spikes(robot, q, u, t, lines), repeats(q)
     # Frozen or at rest: the readings say so once the lag is known.
     moving = np.where(same[:, None] & (same.mean() < 0.5), np.nan, q)
-    lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s)
+    noise = np.asarray(robot.total_noise)
+    lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s, noise)
     at_poses = Signal.of(t, clean).at(times + lag)
     q = in_axes_of_the_readings(robot, q, measured.turned, at_poses, lines)
-    still = frozen(q, times + lag, t, clean, np.asarray(robot.total_noise))
+    still = frozen(q, times + lag, t, clean, noise)
     if still.any():
         when = some([f"{x:.2f} s" for x in times[still & ~np.roll(still, 1)]])
         lines.append(

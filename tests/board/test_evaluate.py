@@ -215,6 +215,17 @@ def test_the_deviation_of_a_lag_is_that_of_a_median_of_twelve():
     assert error == pytest.approx(1.2533e-3 / np.sqrt(12), rel=1e-3)
 
 
+def test_readings_of_noise_alone_do_not_hide_a_lag():
+    """One reading moves and five only have their noise, as an IMU on the base."""
+    q, t = motion(4000), np.arange(4000) / 40
+    rng = np.random.default_rng(2)
+    u = np.column_stack([np.roll(q[:, 0], 60), rng.normal(size=(4000, 5))])
+    signals, noise = (Signal.of(t, q), Signal.of(t[60:], u[60:])), np.r_[0.01, np.ones(5)]
+    assert module.clock_lag(*signals, 5.0, noise) == pytest.approx(1.5, abs=0.03)
+    with pytest.raises(InputError, match="of one motion"):
+        module.clock_lag(*signals, 5.0, np.zeros(6))
+
+
 def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
     """Noise of 0.6 on a motion of 0.8 is refused, and said so; lines explain all of a line, nothing of its mirror."""
     q = motion(4000)
@@ -222,7 +233,7 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
     u = (0.8 * q[:, 0] + 0.6 * noise)[:, None]
     t = np.arange(4000) / 40
     with pytest.raises(InputError, match=r"of one motion; instead received (59|60|61)% of the readings"):
-        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0)
+        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0, np.zeros(1))
     x = q[:, :1]
     for u, left in ((3 * x + 1, 0.0), (-x, 1.0), (0.8 * x + 0.6 * noise[:, None], 0.36)):
         assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
