@@ -20,7 +20,7 @@ STUDIES = Path(__file__).resolve().parents[1] / "data" / "studies"
 def main() -> int:
     """Compute the robots that are named."""
     names = sys.argv[1:]
-    if not names or set(names) - others.FETCHED.keys():
+    if not names or set(names) - {*others.FETCHED}:
         print(f"Robots: {', '.join(others.FETCHED)}.", file=sys.stderr)
         return 2
     for name in names:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from llvmlite.binding import get_host_cpu_name
 
+from repro import InputError
 from repro_companion.compare import REFERENCE, compare_folders, compare_tables, on_reference_processor
 
 TOLERANCES = """table,row,column,tolerance,reason
@@ -131,3 +132,10 @@ def test_of_the_methods_of_table_2_only_those_with_the_chaotic_step_may_move(tmp
         found = compare_tables(root / "results/table_2_methods.csv", tmp_path / "table_2_methods.csv", lines)
         guarded += [column] if found else []
     assert guarded == ["ours", "descent", "half step", "filter"]
+
+
+@pytest.mark.parametrize("content", [b"\xaf\xff,1\n2,3\n", b'a,b\n"1,2\n', b"a\n1,2\n3\n4,5,6\n"])
+def test_what_is_no_table_is_refused_by_its_name(root, content):
+    (root / "results/table_2.csv").write_bytes(content)
+    with pytest.raises(InputError, match=r"results/table_2.csv must be a table in UTF-8 with commas"):
+        compare_folders(root / "old", root / "results", root)

@@ -10,7 +10,7 @@ segment moves with the twist of its tip.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -387,6 +387,7 @@ class Chain:
         upper: ArrayLike | None = None,
         start: ArrayLike | None = None,
     ) -> None:
+        require(isinstance(segments, Iterable), "segments", "Robot", _KINDS, type(segments).__name__)
         self.segments = tuple(segments)
         require(self.segments, "segments", "Robot", "at least one segment", "none")
         for segment in self.segments:
@@ -443,7 +444,9 @@ class Chain:
         return FreeAngles(self.rotations, self.lower, self.upper)
 
     def check_place(self, where: Place, name: str) -> None:
-        """Refuse a place on a segment that does not exist, or beyond its end."""
+        """Refuse what is no place, or one on a segment that does not exist, or beyond its end."""
+        expected = "a place: that of a part, or one from point_on(segment, at)"
+        require(isinstance(where, Place), name, "Robot", expected, repr(where))
         expected = f"on a segment from 0 (base) to {len(self.segments)}"
         require(where.segment <= len(self.segments), name, "Robot", expected, where.segment)
         reach = self.segments[where.segment - 1].length if where.segment else 0.0
@@ -512,6 +515,7 @@ class Chain:
             at :math:`p` moves by :math:`\nu + \omega \times p`.
         """
         q = self.check_q(q)
+        require(isinstance(places, Iterable), "places", "Robot", "a list of places", repr(places))
         for where in places:
             self.check_place(where, "places")
         chain, frame = self.frames(places)

@@ -30,6 +30,7 @@ from repro.tolerances import Tolerances, priors_of, slopes_of
 _HOPELESS = 0.3
 """Standard deviation of the tip, as a share of what the bounds alone leave, from which little is known."""
 _OPEN = "not determined"
+_MOST_SAMPLES = 1_000_000
 _UNDETERMINED, _IDLE, _ALONE = 0.5, 0.01, 0.9
 """Share of a deviation that readings leave; information that a sensor adds [nat]; share of a coordinate in directions
 that are hardly determined, from which it is so by itself and not in combination with others."""
@@ -224,7 +225,8 @@ def _seen(robot: Assembly, samples: int, seed: int) -> _Seen:
     """Return random shapes within the bounds, and what readings tell in them; refuse a robot that has none."""
     owner = "check"
     lower, upper, noise = _stated(robot, owner)
-    require(samples > 1, "samples", owner, "at least 2", samples)
+    whole = isinstance(samples, int | np.integer) and 1 < samples <= _MOST_SAMPLES
+    require(whole, "samples", owner, f"a whole number, at least 2 and at most {_MOST_SAMPLES}", samples)
     sensing, free = sensing_of(robot), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
     q = np.random.default_rng(seed).uniform(lower, upper, (samples, robot.n_q))

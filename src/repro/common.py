@@ -11,7 +11,7 @@ import secrets
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
@@ -162,7 +162,8 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
             must = "a new file (give another name, or move the old one)"
         raise bad_input("output", owner, must, f"{path} ({error.strerror or error})") from error
     finally:
-        shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
+        with suppress(OSError):  # where nothing can be written nothing is left
+            shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
 
 
 def is_table(value: object) -> bool:

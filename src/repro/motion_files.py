@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, bad_input, numbers, printable, require
+from repro.common import Array, InputError, bad_input, numbers, printable, require
 from repro.estimators.calibration import outside
 from repro.estimators.fit_shape import fit_shape, measured_poses, places_of
 from repro.lines import SI
@@ -39,6 +39,8 @@ are no frames [s]; a body that is mostly farther from the origin does not go the
 _SLACK, _OUTSIDE, _MISFIT = 0.1, 0.05, 0.1
 """Poses may be outside the bounds by this share of their width, this share of the poses farther, and the kinematics
 may miss them by this share of the robot's length."""
+_STILL = 0.02
+"""How far bodies may be from their mean places while the robot is straight, as a share of its length."""
 _TURNED = math.radians(25.0)
 """A body that is mostly turned more against the robot's kinematics was defined in other axes."""
 _EQUAL = 5e-5
@@ -235,8 +237,8 @@ def _motion_of(table: Table) -> Motion:
     """Return the bodies of a table."""
     bodies, remarks, times = bodies_of(table), list(table.remarks), table.times
     if times is None or len(times) < 2:
-        expected = "there: a column time_s, or a file of Motive, Vicon or Qualisys"
-        raise bad_input("times", table.owner, expected, "none")
+        expected = "there in two rows or more: a column time_s, or a file of Motive, Vicon or Qualisys"
+        raise bad_input("times", table.owner, expected, "none" if times is None else "one row")
     for name, poses in bodies.items():
         _clear_lost(poses, f"body {name} in {table.owner}", table.lines, remarks)
     rate_hz = 1 / float(np.median(np.diff(times)))
@@ -389,24 +391,32 @@ def _clear_outside(
     out = far if covariance is None else far | outside(robot, q, covariance)
     rows, c = np.asarray(out.any(axis=1)), int(out.sum(axis=0).argmax())
     name, many = robot.coordinates[c], far.any(axis=1).sum() > max(1, _OUTSIDE * len(q))
-    bounds = f"{robot.lower[c]:.4g} to {robot.upper[c]:.4g}"
+    _, unit, factor = robot.units[c]
+    bounds = f"{factor * robot.lower[c]:.4g} to {factor * robot.upper[c]:.4g} {unit}"
     if many or rows.sum() > max(1, len(q) / 2):
         received = (
-            f"{np.nanmin(q[:, c]):.4g} to {np.nanmax(q[:, c]):.4g}, {rows.sum()} of {len(q)} poses outside"
+            f"{factor * np.nanmin(q[:, c]):.4g} to {factor * np.nanmax(q[:, c]):.4g} {unit}, "
+            f"{rows.sum()} of {len(q)} poses outside"
         )
         raise bad_input(name, owner, f"within the robot's bounds, {bounds} {hint}", received)
     q[rows] = np.nan
     _say(rows, f"Poses of {owner} left out, outside the robot's bounds, for {name} {bounds}", lines, remarks)
 
 
-def _at_rest(T: Array, times: Array, straight_s: float, names: Sequence[str], owner: str) -> Array:
-    """Return the mean pose of every body ``[n, 4, 4]`` in the first seconds."""
+def _at_rest(
+    T: Array, times: Array, straight_s: float, names: Sequence[str], length: float, owner: str
+) -> Array:
+    """Return the mean pose of every body ``[n, 4, 4]`` in the first seconds, in which it must be still."""
     rest = np.tile(np.eye(4), (T.shape[1], 1, 1))
+    still = f"so short that the bodies are still for the first {straight_s:g} s"
     for k, name in enumerate(names):
         own = T[(times < times[0] + straight_s) & np.isfinite(T[:, k, 0]).all(axis=1), k]
         require(len(own), "bodies", owner, f"seen in the first {straight_s:g} s", f"no pose of {name}")
         rest[k, :3, :3] = Rotation.from_matrix(own[:, :3, :3]).mean().as_matrix()
         rest[k, :3, 3] = own[:, :3, 3].mean(axis=0)
+        away = float(np.median(np.linalg.norm(own[:, :3, 3] - rest[k, :3, 3], axis=1)))
+        moves = f"{name} that is {1e3 * away:.3g} mm from its mean place"
+        require(away <= _STILL * max(length, 0.05), "straight_s", owner, still, moves)
     return rest
 
 
@@ -458,7 +468,7 @@ def _fitted(
     names, T = _bodies_on_ends(robot, motion, owner, bodies)
     ways, remarks = {0: T}, list(motion.remarks)
     if straight_s > 0:
-        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names, owner))
+        ways, R = _straightened(robot, T, _at_rest(T, motion.times, straight_s, names, robot.length, owner))
         T = ways[0]
         axes = R[[0, 2, 1]] * [[1], [1], [-1]] if motion.up == "y" else R
         largest = np.abs(axes).argmax(axis=0)
@@ -467,11 +477,16 @@ def _fitted(
         remarks.append(f"By the axes of {owner}, {said}")
     require(np.isfinite(T[:, :, 0, 3]).any(), "poses", owner, "seen in some frame", "none")
 
-    shapes = fit_shape(robot, T, times=motion.times, leave_out=False)
+    try:
+        shapes = fit_shape(robot, T, times=motion.times, leave_out=False)
+    except InputError as error:
+        raise InputError(f"{owner}: {error}") from error
     q, miss = shapes.q.copy(), shapes.residual
     typical, most = float(np.sqrt(np.nanmedian(miss**2))), _MISFIT * robot.length
     remarks.append(f"The robot's kinematics miss the poses of {owner} by {1e3 * typical:.2f} mm (median).")
-    hint = f"with {motion.up} along the straight robot (units, bounds, order of bodies, axes? "
+    hint = (
+        f"with {motion.up} along the straight robot (units, bounds, order of bodies or of quaternions, axes? "
+    )
     hint += "A straight start tells the axes: --straight-s)"
     received = f"poses {1e3 * typical:.3g} mm from the nearest shape"
     require(typical < most, "poses", owner, f"those that the robot can take, {hint}", received)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from repro.common import Array, InputError, bad_input, printable, require
+from repro.common import Array, InputError, bad_input, printable, require, scalar
 from repro.lines import (
     DATES,
     SECONDS,
@@ -126,7 +126,7 @@ class Table(NamedTuple):
         """Return the column of a name in SI units, and its own unit; refuse other units than those named."""
         k = _column(self, name, name)
         unit, expected = self.units[k], " or ".join(units) or "no unit"
-        require(unit in units, f"column {self.columns[k]}", self.owner, f"in {expected}", unit)
+        require(unit in units, f"column {self.columns[k]}", self.owner, f"in {expected}", unit or "no unit")
         return self.values[:, k] * SI.get(unit, 1.0), unit
 
 
@@ -152,10 +152,12 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     Raises
     ------
     InputError
-        If it is not a table, a cell is no number, or times do not increase; with the file and the line.
+        If it is not a table, a cell is no number, or times do not increase, with the file and the line; or if the
+        rate is not positive.
     """
     if isinstance(source, Table):
         return source
+    rate = None if rate_hz is None else scalar(rate_hz, "rate_hz", "read_table", "positive and finite [Hz]")
     remarks: list[str] = []
     if isinstance(source, str | Path):
         table, restarts = _file(Path(source), remarks)
@@ -177,8 +179,9 @@ def read_table(source: Any, rate_hz: float | None = None) -> Table:
     times = table.times
     if times is not None:
         times = spread(times, table.lines, table.owner, remarks)
-    elif rate_hz is not None:
-        times = np.arange(len(table.values)) / rate_hz
+        remarks += [] if rate is None else [f"{table.owner} has times: the rate of {rate:g} Hz is not used."]
+    elif rate is not None:
+        times = np.arange(len(table.values)) / rate
     _count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
     return table._replace(times=times, remarks=tuple(remarks))
 
@@ -227,6 +230,9 @@ def text_of(path: Path, remarks: list[str]) -> str:
     received = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
     expected = "text in UTF-8, or in UTF-16 with a byte order mark"
     require(marked or few_zeros, "file", path.name, expected, received)
+    odd = sum(byte < 32 and byte not in b"\0\t\n\r\f\x1b" for byte in content[:1000])
+    received = "bytes that are no text (packed, or a spreadsheet? unpack it, or save it as CSV)"
+    require(marked or 20 * odd <= len(content[:1000]), "file", path.name, expected, received)
     try:
         return content.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError as error:
@@ -491,7 +497,7 @@ def _times(table: Table, clock: list[int], restarts: list[int], remarks: list[st
     require(unit in SECONDS or not unit, name, owner, "in s, ms, us, ns or min", unit)
     times = values[:, own] * SECONDS.get(unit, 1.0)
     bad = [lines[k] for k in np.flatnonzero(~np.isfinite(times)).tolist()]
-    require(not bad, name, owner, "times", f"none in line {bad[:1]}")
+    require(not bad, name, owner, "a time in every line", f"none in line {', '.join(map(str, bad[:1]))}")
     usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     for line in restarts:
         k = int(np.searchsorted(lines, line))
@@ -737,7 +743,7 @@ def _column(table: Table, channel: str | float, own: str) -> int:
         # Names that differ in one letter or digit are those of two readings, such as x_1 and y_1.
         near = [x for x in near if len(x) != len(word) or sum(map(str.__ne__, x.lower(), word)) != 1]
         words = channel if by_name else f"u{channel}_mT, channel_{channel}, or {own}"
-        words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near else "")
+        words = f"one column for {own}: {words}" + (f" (is it {near[0]}?)" if near and not found else "")
         received = [table.columns[k] for k in found] if found else f"none among {', '.join(table.columns)}"
         raise bad_input("columns", table.owner, words, received)
     table.require_numbers(found[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,9 @@ def averaged(
     """Return the mean readings of every held pose, NaN where there are none, and what was left out."""
     means, spikes, moved, noise = [], [], [], np.nan_to_num(np.asarray(robot.total_noise, dtype=float))
     for (begin, end), place in zip(windows, where, strict=True):
+        if not math.isfinite(begin + end):
+            means.append(np.full(u.shape[1], np.nan))
+            continue
         rows = np.flatnonzero((t >= begin - 1e-9) & (t <= end + 1e-9))
         span = f"within the readings, {t[0]:g} to {t[-1]:g} s after the first"
         span += " (start_board_s and start_unix_s are times of other clocks)"

@@ -39,11 +39,16 @@ _AHEAD_S = 0.1
 """Readings are simulated for so long at once, and sent in their time [s]."""
 _SETTLE_S, _POLL_S = 0.25, 0.02
 """From the opening of a port to the first byte, as drivers clear their buffers; how often a port is looked at [s]."""
+_MOST_HZ = 1e5
+"""Readings per second, beyond what any line carries."""
 _CARRIED = {"hall": (-8192.0, 8191.0, 0), "millivolts": (0.0, 2048.0, 4)}
 """What lines of a converter carry: from, to, decimals."""
+_FORMATS = ("csv", "frames", "hall", "millivolts", "quaternions")
 FAULTS = ("missing", "unplugged", "stuck", "saturated", "scaled", "drifting", "spike", "frozen")
+CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
+"""Faults whose value is a chance."""
 OF_THE_LINE = {
-    **dict.fromkeys(("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots"), 0.0),
+    **dict.fromkeys(CHANCES, 0.0),
     "burst_bytes": 32.0,
     "stall_s": 1.0,
     "away_s": 1.0,
@@ -258,8 +263,9 @@ def faults_named(given: Faults, robot: Robot | None = None) -> dict[str, float]:
             found[name] = k + 1.0
             continue
         found[name] = float(numbers(value, f"fault {name}", "emulate", ()))
-        fits = found[name] >= 0 or name == "drift_ppm"
-        require(fits, f"fault {name}", "emulate", "not negative", value)
+        low, high = (-1e6 if name == "drift_ppm" else 0.0), (1.0 if name in CHANCES else 1e6)
+        words = {"drift_ppm": "a number within 1e6 of zero"}.get(name, f"not negative, at most {high:g}")
+        require(low <= found[name] <= high, f"fault {name}", "emulate", words, value)
     return found
 
 
@@ -343,6 +349,18 @@ def _recorded(recording: Recording, loop: bool) -> Iterator[tuple[float, int, Ar
             yield time_s, sample.stream, sample.values
 
 
+def _format(robot: Robot) -> str:
+    """Return what the board of a robot sends: as its file says, else what carries its readings."""
+    streams = any(not isinstance(imu.channels, list | tuple) for imu in robot.imus)
+    fits = ("frames", *(["quaternions"] * (not robot.sensors))) if streams else _FORMATS
+    if robot.source is None:
+        return "frames"
+    form = robot.source.stream["format"] or ("csv" if not streams else fits[-1])
+    words = f"one that carries the streams of IMUs: {' or '.join(fits)}"
+    require(form in fits, "format", robot.source.name, words, form)
+    return form
+
+
 def board_bytes(
     source: Robot | Recording, *, rate_hz: float | None = None, poses: Array | None = None, hold_s: float = 2.0,
     tolerances: float = 0.0, loop: bool = False, faults: Faults = (),
@@ -375,6 +393,8 @@ def board_bytes(
     InputError
         If an option does not fit the source, or it has no such fault.
     """
+    require(0 <= fault_from < math.inf, "fault_from", "emulate", "0 or above [s]", fault_from)
+    require(isinstance(seed, int) and seed >= 0, "seed", "emulate", "a whole number, 0 or above", seed)
     if not isinstance(source, Robot):
         fits = rate_hz is None and poses is None and not tolerances
         require(fits, "rate, hold_poses, tolerances", "emulate", "left out for a recording", "one of them")
@@ -383,10 +403,11 @@ def board_bytes(
             _recorded(source, loop), str(source.format), names, faults_named(faults), fault_from, seed
         )
     rate = (source.rate_hz if rate_hz is None else rate_hz) or 0.0
-    require(0 < rate < math.inf, "rate", "emulate", "above zero [Hz], here or in the robot file", rate_hz)
+    expected = f"above zero [Hz], here or in the robot file, and at most {_MOST_HZ:g}"
+    require(0 < rate <= _MOST_HZ, "rate", "emulate", expected, rate_hz)
     require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
     fails, robot = faults_named(faults, source), built(source, tolerances, seed=seed)
-    form = source.source.stream["format"] or "csv" if source.source else "frames"
+    form = _format(source)
     carried = form in ("frames", "csv") or not fails["nan"]
     require(carried, "fault", "emulate", f"one that lines of {form} can carry", "nan")
     blocks = _blocks(
@@ -473,6 +494,8 @@ class Emulator:
             self.address = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         elif Path(link).exists() and not Path(link).is_symlink():
             raise bad_input("port_file", "emulate", "a new name, or that of an earlier port", link)
+        elif not Path(self.address).parent.is_dir():
+            raise bad_input("port_file", "emulate", "in a folder that exists", link)
         self._appear()
         self._thread = threading.Thread(target=self._run, daemon=True)
 

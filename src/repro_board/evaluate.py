@@ -51,6 +51,8 @@ ESTIMATORS = ("levenberg_marquardt", "kalman")
 NOT_WRITTEN = "No table is written (-o shape.csv writes one)."
 _WINDOW_S = 0.5
 """Readings are averaged over this time around a pose with one time."""
+_MOST_NOISE = 1e4
+"""Of measured poses [mm, deg]."""
 _LEAST_S, _APART_S = 5.0, 1.0
 """Shortest part of an evaluation, and time between the two parts [s]."""
 
@@ -63,7 +65,12 @@ def _robot(path: Path | str, owner: str) -> Robot:
 
 
 def _readings(robot: Robot, source: Path | str | Recording, rate_hz: float | None = None) -> Readings:
-    u = readings_of(robot, source if rate_hz is None else read_table(source, rate_hz))
+    table: object = source
+    if rate_hz is not None and not isinstance(source, Recording):
+        expected = "left out for a recording, which has its own times"
+        require(not is_recording(source), "rate", Path(source).name, expected, rate_hz)
+        table = read_table(source, rate_hz)
+    u = readings_of(robot, table)
     u.remarks = (*u.remarks, *_pace(robot, u.times))
     return u
 
@@ -142,8 +149,8 @@ def track_file(
 def pose_covariance(robot: Robot, noise_mm: float, noise_deg: float) -> Array:
     """Return the covariance ``[n_q, n_q]`` of poses whose lengths and angles are known so well."""
     given = f"{noise_mm:g} mm and {noise_deg:g} deg"
-    good = 0 < noise_mm < math.inf and 0 < noise_deg < math.inf
-    require(good, "pose noise", "the command", "positive", given)
+    good = 0 < noise_mm <= _MOST_NOISE and 0 < noise_deg <= _MOST_NOISE
+    require(good, "pose noise", "the command", f"positive and at most {_MOST_NOISE:g}", given)
     angle = [name.startswith(("kappa", "phi", "rotation")) for name in robot.coordinates]
     return np.diag(np.where(angle, math.radians(noise_deg), 1e-3 * noise_mm) ** 2)
 
@@ -199,7 +206,9 @@ def calibrate_files(
     both, labels = np.concatenate([values[:, :n], measured.q], axis=1), [*arm.names[:n], *arm.coordinates]
     use = complete(both, "poses and readings", name, labels, 1)
     if lost := [place for place, there in zip(where, use, strict=True) if not there]:
-        remarks.append(f"{len(lost)} poses lack a reading or a coordinate and are left out: {some(lost)}.")
+        remarks.append(
+            f"{len(lost)} poses lack a reading, a coordinate or a time and are left out: {some(lost)}."
+        )
     q, rows = measured.q[use], np.nan_to_num(values[use])  # orientations are not calibrated here
     kept = [place for place, there in zip(where, use, strict=True) if there]
     found = calibrate(arm, q, rows, q_covariance=sigma, tolerances=TOLERANCES, rows=kept)
@@ -327,10 +336,11 @@ def _together(
     clean, same = without_spikes(robot, q, u, t, lines), repeats(q)
     # Frozen or at rest: the readings say so once the lag is known.
     moving = np.where(same[:, None] & (same.mean() < 0.5), np.nan, q)
-    lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s)
+    noise = np.asarray(robot.total_noise)
+    lag = clock_lag(Signal.of(times, moving), Signal.of(t, unwrapped(robot, clean)), longest_lag_s, noise)
     at_poses = Signal.of(t, clean).at(times + lag)
     q = in_axes_of_the_readings(robot, q, measured.turned, at_poses, lines)
-    still = frozen(q, times + lag, t, clean, np.asarray(robot.total_noise))
+    still = frozen(q, times + lag, t, clean, noise)
     if still.any():
         when = some([f"{x:.2f} s" for x in times[still & ~np.roll(still, 1)]])
         lines.append(

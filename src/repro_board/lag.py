@@ -158,14 +158,20 @@ class Signal(NamedTuple):
         return np.where(near[:, None], found, np.nan)
 
 
-def clock_lag(motion: Signal, readings: Signal, longest_s: float) -> float:
-    """Return by how much the readings are later than the motion [s], to a sample, or refuse what is no one motion."""
+def clock_lag(motion: Signal, readings: Signal, longest_s: float, noise: Array) -> float:
+    """Return by how much the readings are later than the motion [s], to a sample, or refuse what is no one motion.
+
+    Readings that hardly vary beyond their noise tell nothing, such as those of an IMU on the base.
+    """
     owner = "repro evaluate"
     start, end = max(motion.times[0], readings.times[0]), min(motion.times[-1], readings.times[-1])
     columns = (motion.values.shape[1] + 1) * (motion.values.shape[1] + 2) / 2
     step = max(min(motion.gap, readings.gap) / GAP_STEPS, (end - start) * columns**2 / 1e7)
     when = np.arange(start, end, step)
-    u = readings.at(when) / np.nanstd(readings.values, axis=0).clip(1e-12)
+    spread = np.nanstd(readings.values, axis=0).clip(1e-12)
+    tells = spread > 2 * noise
+    tells |= not tells.any()
+    u = (readings.at(when) / spread)[:, tells]
     found = search_lag(motion.at(when), u, 1 / step, longest_s)
     best = f"{found.best / found.spread:.0%} of the readings unexplained at {found.lag_s:+.3f} s"
     require(found.best < 0.5 * found.spread, "readings and poses", owner, "of one motion", f"{best}, at best")
@@ -211,7 +217,7 @@ def fine_lag(sensing: Sensing, motion: Signal, t: Array, u: Array, near: float) 
 
 def held_lag(robot: Robot, q: Array, windows: Array, t: Array, u: Array, remarks: list[str]) -> float:
     """Return by how much held poses are later by the clock of the readings [s]; zero where that goes as well."""
-    n, whole = sum(sensor.axes for sensor in robot.sensors), np.asarray(np.isfinite(q).all(1))
+    n, whole = sum(sensor.axes for sensor in robot.sensors), np.isfinite(np.hstack([q, windows])).all(axis=1)
     if whole.sum() < _FEWEST or not n:
         return 0.0
     drawn, windows = robot.sensing()(q[whole])[:, :n], windows[whole]

@@ -419,6 +419,8 @@ def readings_of(robot: Robot, source: object) -> Readings:
         source = read_recording(source)
     if not isinstance(source, Recording):
         return read_readings(robot, source)
+    received = f"0 samples. {' '.join(source.remarks)}"
+    require(len(source.samples), "recording", source.path.name, "one with readings of the robot", received)
     steps = Steps(robot, source=Labels(source.names, source.units, source.format))
     table = steps.table(source.samples, source.times, source.path.name)
     return read_readings(robot, table._replace(remarks=(*source.remarks, *steps.remarks)))

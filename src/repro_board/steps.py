@@ -151,7 +151,8 @@ class Steps:
         found = [
             row for sample, t in zip(samples, times.tolist(), strict=True) for row in self._put(sample, t)
         ]
-        require(found, "recording", owner, "one with readings of the robot", f"{len(samples)} samples")
+        received = " ".join([f"{len(samples)} samples.", *self.remarks])
+        require(found, "recording", owner, "one with readings of the robot", received)
         rows, at = zip(*found, strict=True)
         table = self._named(np.array(rows))
         return table._replace(owner=owner, times=spread(np.array(at), table.lines, owner, self.remarks))

@@ -404,7 +404,7 @@ class _Lines(_Packets):
             elif scale:
                 time_us = self._unwrapped(0, round(sent_us), False)
         if any(map(math.isinf, values)):
-            self._drop(packet, "a number is too large, or the time is missing")
+            self._drop(packet, "a number is too large, or the time is missing or negative")
             return []
         self._commas *= 0.99
         self._misfits, self._accepted = 0, self._accepted + 1

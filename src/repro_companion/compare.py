@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_float_dtype, is_numeric_dtype
 
+from repro.common import bad_input
 from repro_companion.run import digest
 
 REFERENCE = "# reference processor: "
@@ -189,6 +190,8 @@ def _read(path: Path) -> pd.DataFrame:
         return pd.read_csv(path, keep_default_na=False, na_values=[""])  # a label "None" is a label
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
+    except ValueError as error:
+        raise bad_input("file", str(path), "a table in UTF-8 with commas", error) from error
 
 
 def _keys(first: pd.DataFrame, second: pd.DataFrame) -> list[str]:

@@ -448,7 +448,8 @@ def grid_of(
     """Return the values of each parameter that is swept: 1,2 or, half open, 0:3; [1, 2] is one value."""
     grid: dict[str, list[Json]] = {}
     for one, text in chosen(parameters, given, owner):
-        values = []
+        values, empty = [], re.search(r"(^|,) *(,|$)", text)
+        require(not empty, f"parameter {one.name}", owner, "a value between any two commas", repr(text))
         for item in re.findall(
             r"(?:\[[^]]*\]|\{[^}]*\}|[^,\[{])+", text
         ):  # commas within brackets divide nothing
@@ -457,7 +458,7 @@ def grid_of(
                 bare = one.kind == "list" and not each.startswith("[")
                 values.append(value_of(one, f"[{each}]" if bare else each, owner))
         differ = len(values) == len({*map(typed, values)}) > 0
-        require(differ, f"parameter {one.name}", owner, "values that differ", text)
+        require(differ, f"parameter {one.name}", owner, "one value or more, which differ", text)
         grid[one.name] = values
     require(grid, "parameters", "repro sweep", "given, each as -p NAME VALUES", "none")
     return grid

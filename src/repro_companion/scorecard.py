@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from repro.common import bad_input
 from repro_companion.show import KEY, ROW_COLUMNS, project_folder, results_folder
 
 COLUMNS = [
@@ -89,7 +90,10 @@ def _read(path: Path, columns: list[str], **needed: bool) -> pd.DataFrame:
     """Return a table as texts with its file's name; columns in ``needed`` hold numbers, or may be empty."""
     if not path.is_file():
         raise ValueError(f"There is no table {path}.")
-    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    try:
+        frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except ValueError as error:
+        raise bad_input("file", str(path), "a table in UTF-8 with commas", error) from error
     if list(frame) != columns:
         raise ValueError(
             f"{path.name} must have the columns {', '.join(columns)}; it has {', '.join(frame)}."

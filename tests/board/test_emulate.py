@@ -538,14 +538,25 @@ def test_a_recording_is_played_again_and_in_a_loop(tmp_path):
     [
         ({"faults": {"tired": 1}}, "Input fault of emulate must be one of flips, drops"),
         ({"faults": [("flips", "often")]}, "Input fault flips of emulate must be numbers"),
-        ({"faults": {"drops": -1}}, "Input fault drops of emulate must be not negative; instead received -1"),
+        (
+            {"faults": {"drops": -1}},
+            "Input fault drops of emulate must be not negative, at most 1; instead received -1",
+        ),
         (
             {"faults": {"unplug": 4}},
             r"one of sensor 1 \(1\), sensor 2 \(2\), imu 1 \(3\); instead received 4",
         ),
         ({"faults": {"gain": 3}}, "fault gain of emulate must be of a magnetic sensor; instead received 3"),
         ({"faults": {"stick": 1.5}}, r"one of sensor 1 \(1\), .*; instead received 1.5"),
+        (
+            {"faults": {"drops": 1.5}},
+            "fault drops of emulate must be not negative, at most 1; instead received 1.5",
+        ),
+        ({"faults": {"drift_ppm": -1e7}}, "fault drift_ppm of emulate must be a number within 1e6 of zero"),
+        ({"fault_from": np.nan}, "Input fault_from of emulate must be 0 or above"),
+        ({"seed": -1}, "Input seed of emulate must be a whole number, 0 or above; instead received -1"),
         ({"rate_hz": -1.0}, "Input rate of emulate must be above zero"),
+        ({"rate_hz": 1e12}, "Input rate of emulate must be above zero .* and at most 100000"),
         ({"tolerances": -1.0}, "Input tolerances of emulate must be 0 or more"),
         ({"poses": np.zeros((2, 6)), "hold_s": 0.0}, "Input hold of emulate must be above zero"),
     ],
@@ -557,8 +568,25 @@ def test_a_board_that_cannot_be_is_refused_at_once(options, message):
 
 def test_lines_of_one_stream_carry_no_imu_of_its_own():
     robot = PLAIN.replaced(source=Source("robot.toml", "", {"format": "csv"}))
-    with pytest.raises(InputError, match="of a line of csv must be"):
-        list(islice(board_bytes(robot), 9))
+    expected = (
+        "format of robot.toml must be one that carries the streams of IMUs: frames; instead received csv"
+    )
+    with pytest.raises(InputError, match=expected):
+        board_bytes(robot)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "imus", "form"),
+    [(1, 0, "csv"), (1, 2, "frames"), (0, 2, "quaternions")],
+)
+def test_a_file_without_a_format_gets_one_that_carries_its_parts(sensors, imus, form):
+    robot = PLAIN.replaced(
+        sensors=PLAIN.sensors[:sensors], imus=PLAIN.imus[:imus], noise=None,
+        source=Source("robot.toml", "", {"format": None}),
+    )  # fmt: skip
+    stated = robot.replaced(source=Source("robot.toml", "", {"format": form}))
+    first, second = (list(islice(board_bytes(one, seed=2), 9)) for one in (robot, stated))
+    assert first == second
 
 
 def test_lines_of_counts_carry_no_missing_reading():
@@ -570,6 +598,8 @@ def test_a_port_takes_no_file_and_no_other_port(tmp_path):
     (tmp_path / "mine.csv").write_text("1,2\n")
     with pytest.raises(InputError, match="port_file of emulate must be a new name"):
         Emulator([], tmp_path / "mine.csv")
+    with pytest.raises(InputError, match="port_file of emulate must be in a folder that exists"):
+        Emulator([], tmp_path / "nowhere/port")
     assert (tmp_path / "mine.csv").read_text() == "1,2\n"
     with Emulator([], 0) as board:
         number = int(board.address.rpartition(":")[2])

@@ -216,6 +216,17 @@ def test_the_deviation_of_a_lag_is_that_of_a_median_of_twelve():
     assert error == pytest.approx(1.2533e-3 / np.sqrt(12), rel=1e-3)
 
 
+def test_readings_of_noise_alone_do_not_hide_a_lag():
+    """One reading moves and five only have their noise, as an IMU on the base."""
+    q, t = motion(4000), np.arange(4000) / 40
+    rng = np.random.default_rng(2)
+    u = np.column_stack([np.roll(q[:, 0], 60), rng.normal(size=(4000, 5))])
+    signals, noise = (Signal.of(t, q), Signal.of(t[60:], u[60:])), np.r_[0.01, np.ones(5)]
+    assert module.clock_lag(*signals, 5.0, noise) == pytest.approx(1.5, abs=0.03)
+    with pytest.raises(InputError, match="of one motion"):
+        module.clock_lag(*signals, 5.0, np.zeros(6))
+
+
 def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
     """Noise of 0.6 on a motion of 0.8 is refused, and said so; lines explain all of a line, nothing of its mirror."""
     q = motion(4000)
@@ -223,7 +234,7 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
     u = (0.8 * q[:, 0] + 0.6 * noise)[:, None]
     t = np.arange(4000) / 40
     with pytest.raises(InputError, match=r"of one motion; instead received (59|60|61)% of the readings"):
-        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0)
+        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0, np.zeros(1))
     x = q[:, :1]
     for u, left in ((3 * x + 1, 0.0), (-x, 1.0), (0.8 * x + 0.6 * noise[:, None], 0.36)):
         assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
@@ -335,9 +346,7 @@ def test_poses_a_little_outside_the_bounds_are_left_out_by_their_lines(good, tmp
     frame.iloc[800:850, 1] = 21.7
     frame.to_csv(tmp_path / "p.csv", index=False)
     found = evaluate_files(readings, tmp_path / "p.csv", path, tmp_path / "out")
-    words = (
-        "left out, outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 50 of 3000 (lines 802 to 851)."
-    )
+    words = "left out, outside the robot's bounds, for delta_x_1 -20 to 20 mm: 50 of 3000 (lines 802 to 851)."
     assert f"Poses of p.csv {words}" in str(found)
     assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.05)
     frame.iloc[::2, 1] = 21.7
@@ -701,20 +710,24 @@ def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):
     def no_reading(frame):
         frame.loc[30:39, "u2_mT"] = np.nan
 
+    def no_time(frame):
+        frame.loc[11, "start_s"] = np.nan
+
     rewritten(poses, too_far)
+    rewritten(poses, no_time)
     rewritten(readings, no_reading)
     report = calibrate_files(readings, poses, path, tmp_path / "c.json")
-    assert report.found.poses == 18
+    assert report.found.poses == 17
     assert (
-        "2 poses lack a reading or a coordinate and are left out: poses.csv, line 5, poses.csv, line 9."
-        in str(report)
+        "3 poses lack a reading, a coordinate or a time and are left out: poses.csv, line 5, poses.csv, line 9, "
+        "poses.csv, line 13." in str(report)
     )
 
     def a_little(frame):
         frame.loc[7, "delta_x_1_mm"] = 22.5
 
     text = str(calibrate_files(readings, rewritten(poses, a_little), path, tmp_path / "d.json"))
-    assert "outside the robot's bounds, for delta_x_1 -0.02 to 0.02: 1 of 20 (line 9)." in text
+    assert "outside the robot's bounds, for delta_x_1 -20 to 20 mm: 1 of 20 (line 9)." in text
 
     def mirrored(frame):
         frame.loc[4, ["delta_x_1_mm", "delta_y_1_mm"]] *= -1

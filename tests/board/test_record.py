@@ -603,3 +603,10 @@ def test_a_recording_without_readings_is_refused(tmp_path):
         InputError, match=r"recording of a\.rec must be one with readings of the robot; .* 0 samples"
     ):
         readings_of(robot, path)
+    lines = "".join(f"{-40 * k},0.25\n" for k in range(1, 9)).encode()
+    path = written(tmp_path / "b.rec", [b"x\ntime_ms,Bx\n", lines])
+    cause = (
+        r"0 samples\. Left out were lines such as '-.*: a number is too large, or the time is missing or neg"
+    )
+    with pytest.raises(InputError, match=cause):
+        readings_of(robot, path)

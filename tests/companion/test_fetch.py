@@ -50,8 +50,16 @@ class Server(http.server.BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         temper, _, file = self.path.lstrip("/").partition("/")
         sent = CONTENT if file == "p2020/data/a%20b.csv" else b""
-        to = {"file": "file:///etc/passwd", "moved": f"/good/{file}", "circle": f"/circle/{file}"}.get(temper)
-        self.send_response(404 if temper == "missing" else 302 if to else 200)
+        to = {
+            "file": "file:///etc/passwd",
+            "bad": "http://[::1",
+            "moved": f"/good/{file}",
+            "circle": f"/circle/{file}",
+        }.get(temper)
+        if temper == "red":
+            self.send_response(500, "\x1b[31mred")
+        else:
+            self.send_response(404 if temper == "missing" else 302 if to else 200)
         if to:
             self.send_header("Location", to)
         if temper == "short":
@@ -65,7 +73,7 @@ class Server(http.server.BaseHTTPRequestHandler):
         try:
             for _ in range(10_000):
                 self.wfile.write(
-                    blocks.get(temper, sent) if temper not in ("missing", "file", "moved") else b""
+                    blocks.get(temper, sent) if temper not in ("missing", "file", "bad", "moved") else b""
                 )
                 self.wfile.flush()
                 Server.sent += len(blocks.get(temper, sent))
@@ -109,6 +117,8 @@ def test_what_is_here_is_not_asked_for_again(sources, tmp_path, server):
         ("short", "what arrived is not|broke off"),
         ("flood", f"more than {len(CONTENT)} bytes arrived"),
         ("file", "broke off .InvalidSchema."),
+        ("bad", "the server sent us on to what is no address"),
+        ("red", r"the server answered 500 \\x1b\[31mred"),
         ("circle", "more than 5 redirects"),
     ],
 )

@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from repro_companion.papers import others
+from repro_companion.papers.fetch import listed_files
 from repro_companion.run import project_folder, recordings_folder
 
 ROBOTS = others.robots()
@@ -71,8 +72,11 @@ def test_where_files_have_no_licence_the_script_reads_what_was_fetched(name, tmp
     assert all(found[key] <= bar for key, bar in BARS[name].items())
 
 
+@pytest.mark.parametrize("folders", [False, True], ids=["nothing", "empty folders"])
 @pytest.mark.parametrize("name", FETCHED)
-def test_without_the_files_the_script_says_what_to_do_in_one_sentence(name, tmp_path):
+def test_without_the_files_the_script_says_what_to_do_in_one_sentence(name, folders, tmp_path):
+    for source in listed_files(name) if folders else []:
+        (tmp_path / source.name).parent.mkdir(parents=True, exist_ok=True)
     done = run(name, tmp_path)
     missing_vqf = name == "imu_chain" and not importlib.util.find_spec("vqf")
     words = "`pip install vqf` first." if missing_vqf else f"`repro fetch {name}`"
@@ -124,6 +128,12 @@ def test_where_no_file_is_here_figures_are_those_that_were_committed(tmp_path, m
         assert own.figures == dict(zip(study["figure"], study["value"], strict=True))
         assert f"<code>.venv/bin/repro fetch {name}</code>" in others.table(table)
     assert set(others.pictures(found)["look"]) == {"drawn", "bodies"}
+    for source in [source for name in FETCHED for source in listed_files(name)]:  # others than were released
+        (tmp_path / source.name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / source.name).write_text("a,b\n1,2\n")
+    assert {name: others.found(name).figures for name in FETCHED} == {
+        name: own.figures for name, own in found.items()
+    }
 
 
 def test_files_without_a_licence_can_be_fetched_from_the_commit_that_the_table_names():

@@ -245,3 +245,9 @@ def test_workers_of_a_scheduler_run_a_sweep(root):
         tool.sweep(
             tool.points_of(page, {"seeds": [[7]]}, folder, root), jobs=1, scheduler="tcp://127.0.0.1:9"
         )
+
+
+@pytest.mark.parametrize("text", ["1,,2", ",1", "1, ", ""])
+def test_no_value_of_a_sweep_is_empty(text):
+    with pytest.raises(InputError, match="parameter x of a must be a value between any two commas"):
+        tool.grid_of({"x": Parameter("x", "int", "", "")}, [("x", text)], "a")

@@ -129,6 +129,8 @@ def test_what_fails_leaves_nothing_and_replaces_nothing(tmp_path):
         write(tmp_path / "mine", "another")
     with pytest.raises(InputError, match=r"must be a file that can be made; .*\(No such file or directory\)"):
         write(tmp_path / "none" / "a", "new")
+    with pytest.raises(InputError, match=r"must be a file that can be made; .*"):  # nor can it be looked for
+        write(tmp_path / ("a" * 250), "new")
     with pytest.raises(UnicodeEncodeError):
         write(tmp_path / "a", "\ud800")
     assert left(tmp_path) == ["mine"]

@@ -362,3 +362,12 @@ def test_a_rig_is_poses():
     with pytest.raises(InputError, match="poses of Rig must be"):
         Rig(np.eye(4), [2 * np.eye(4)])
     assert Rig(np.eye(4), [np.eye(4)] * 3).deviation.shape == (4, 6)
+
+
+def test_bodies_on_rigid_pieces_at_the_base_are_no_obstacle():
+    """No coordinate moves the first two bodies, so the search begins with the third."""
+    robot = Robot([Link(0.05), Link(0.02), ConstantCurvature(0.1, 0.02), ConstantCurvature(0.1, 0.02)])
+    q = np.random.default_rng(0).uniform(-0.015, 0.015, (20, robot.n_q))
+    found = fit_shape(robot, robot.poses(q, tips(robot)))
+    np.testing.assert_allclose(found.q, q, atol=1e-7)
+    assert set(found.status) == {"consistent"}

@@ -211,7 +211,7 @@ def test_files_of_other_systems(tmp_path, text, name, line, started):
         ("time_s,x\n1,2\n", "columns of a.csv must be x_1_mm, y_1_mm, z_1_mm and so on"),
         (
             "x_1_mm,y_1_mm,z_1_mm\n1,2,3\n4,5,6\n",
-            "times of a.csv must be there: a column time_s, or a file of Motive",
+            "times of a.csv must be there in two rows or more: a column time_s, or a file of Motive",
         ),
         (JOINTS, "header of a.csv must be of Vicon: a rate, names, RX"),
         (vicon().replace("RX", "X"), "header of a.csv must be of Vicon: a rate, names, RX"),
@@ -388,7 +388,7 @@ class TestMeasuredPoses:
             "Rows of the table left out, which only repeat the one before, more than 20 in a row: 21 of 120 "
             "(lines 82 to 102).",
             "Rows of the table without a pose: 24 of 120 (lines 51 to 52, 61, 82 to 102).",
-            "Poses of the table left out, outside the robot's bounds, for delta_x_1 -0.03 to 0.03: 1 of 120 "
+            "Poses of the table left out, outside the robot's bounds, for delta_x_1 -30 to 30 mm: 1 of 120 "
             "(line 71).",
         )
 
@@ -411,7 +411,7 @@ class TestMeasuredPoses:
         robot, q = self.arm(), self.q()
         frame = pd.DataFrame(1e3 * q, columns=[f"{name}_cm" for name in robot.coordinates])
         with pytest.raises(
-            InputError, match="delta_x_1 of the table must be within the robot's bounds, -0.03 to 0.03"
+            InputError, match="delta_x_1 of the table must be within the robot's bounds, -30 to 30 mm"
         ):
             read_poses(robot, frame)
         turned = np.swapaxes(robot.poses(q, tips(robot)), 2, 3) * 1.0
@@ -425,6 +425,23 @@ class TestMeasuredPoses:
             InputError, match="poses of the table must be bodies; instead received coordinates of"
         ):
             read_poses(robot, frame, straight_s=1.0)
+        one = self.table(robot, q, robot.poses(q, tips(robot))).iloc[:1]
+        with pytest.raises(InputError, match="there in two rows or more: .*; instead received one row"):
+            read_poses(robot, one)
+
+    def test_a_straight_start_in_which_the_robot_moves_is_refused(self):
+        robot, q = self.arm(), self.q()
+        frame = self.table(robot, q, robot.poses(q, tips(robot)))
+        expected = "straight_s of the table must be so short that the bodies are still for the first 1.2 s"
+        with pytest.raises(InputError, match=f"{expected}; instead received 1 that is .* mm from its mean"):
+            read_poses(robot, frame, straight_s=1.2)
+
+    def test_a_file_whose_bodies_are_in_other_units_is_named(self):
+        robot, q = self.arm(), self.q()
+        T = robot.poses(q, tips(robot))
+        T[..., :3, 3] *= 1e3
+        with pytest.raises(InputError, match="^the table: Input poses of fit_shape must be in metres"):
+            read_poses(robot, self.table(robot, q, T))
 
 
 ONE = Rotation.from_rotvec(np.radians(178) * np.array([0.0, np.sin(0.3), np.cos(0.3)]))

@@ -231,7 +231,7 @@ def test_the_lines_of_the_design_run_in_an_empty_folder(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert "This robot can work" in done.stdout, done.stderr
     assert done.stdout.endswith("200 True\n"), done.stderr
-    assert (tmp_path / "shape.csv").stat().st_size > 10_000
+    assert (tmp_path / "estimates.csv").stat().st_size > 10_000
     assert {file.name for file in repro.example().iterdir()} == {"robot.toml", "mine.csv", "poses.csv"}
 
 

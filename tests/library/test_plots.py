@@ -202,6 +202,25 @@ def test_lost_shapes_are_empty_in_a_table():
     assert table.residual_mm.max() < 1e-6
 
 
+def test_the_tip_is_open_along_the_axes_that_an_open_coordinate_moves():
+    """A straight arm: its elongation moves the tip along z alone; bent towards x it moves x and z."""
+    robot, known = Robot([ConstantCurvature(0.11, 0.022)]), np.diag([1e-6, 1e-6, np.inf])
+    known[known == 0] = np.nan
+    C = np.where(np.eye(3) + np.isfinite(known) > 0, known, np.nan)
+    q = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.01, 0.01, 0.0]])
+    nothing = np.zeros(3)
+    shape = Trajectory(
+        nothing, q, np.stack([C] * 3), np.zeros((3, 1)), nothing, nothing, nothing, robot=robot
+    )
+    table = shape.to_frame()
+    np.testing.assert_array_equal(table.delta_L_1_sd_mm, np.inf)
+    stated = table[["tip_x_sd_mm", "tip_y_sd_mm", "tip_z_sd_mm"]].to_numpy()
+    np.testing.assert_array_equal(np.isinf(stated), [[0, 0, 1], [1, 0, 1], [1, 1, 1]])
+    slopes = 1e3 * robot.tip_slopes(q)[1][..., :2] * 1e-3
+    expected = np.sqrt(np.square(slopes).sum(-1))
+    np.testing.assert_allclose(stated[np.isfinite(stated)], expected[np.isfinite(stated)], rtol=1e-12)
+
+
 def test_estimates_over_time():
     shape = motion(arm(), fault=0.5)[1]
     coordinates, above, below = shape.plot()

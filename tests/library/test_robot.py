@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from repro import AffineCurvature, BallJoint, ConstantCurvature, Imu, InputError, Link, Robot, Sensor
 from repro.chain import point_on
+from repro.estimators.calibration import load_calibration
 
 from .robots import CHAINS, chain, complex_pose, configuration
 
@@ -117,3 +118,20 @@ def test_the_slopes_of_the_tip_are_those_of_its_position():
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_what_is_no_segment_and_no_place_is_refused_in_words():
+    robot = Robot([ConstantCurvature(0.1, 0.02)])
+    with pytest.raises(InputError, match="segments of Robot must be .*; instead received int"):
+        Robot(3)
+    for places in (3, [(1, 0.0)], [np.eye(4)], point_on(1, 0.0)):
+        with pytest.raises(
+            InputError, match="places of Robot must be a (list of places|place: that of a part)"
+        ):
+            robot.poses(np.zeros(3), places)
+    with pytest.raises(
+        InputError, match="calibration of load_calibration must be a path; instead received int"
+    ):
+        load_calibration(3, robot)
+    with pytest.raises(InputError, match="samples of check must be a whole number"):
+        robot.check(samples=2.5)

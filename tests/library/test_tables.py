@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
 import copy
+import gzip
 import pickle
 from pathlib import Path
 
@@ -686,7 +688,7 @@ REFUSED = {
     ),
     "a time that is none": (
         lines().replace("0.05000", ""),
-        "column time_s must be times; instead received none in line [3].",
+        "column time_s must be a time in every line; instead received none in line 3.",
     ),
 }
 
@@ -822,3 +824,35 @@ def test_coordinates_in_every_unit(names, row, expected):
     frame = pd.DataFrame([row], columns=names).assign(kappa_0_2_deg=180.0, kappa_1_2_rad=1.0)
     q = configurations_of(arm, read_table(frame))
     np.testing.assert_allclose(q, [[expected[0], np.pi, 1.0, *expected[1:]]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lambda text: bytes(range(32)) * 3 + text])
+def test_a_packed_file_is_no_text(tmp_path, pack):
+    path = tmp_path / "mine.csv"
+    path.write_bytes(pack(lines(rows=np.random.default_rng(0).normal(size=(100, 4))).encode()))
+    with pytest.raises(InputError, match="instead received bytes that are no text .packed, or a spreadsheet"):
+        read_table(path)
+
+
+def test_a_rate_is_positive_and_never_ignored_in_silence(tmp_path):
+    path = written(tmp_path, lines())
+    for rate_hz in (0.0, -3.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="rate_hz of read_table must be positive and finite"):
+            read_table(path, rate_hz)
+    table = read_table(path, 40.0)
+    np.testing.assert_allclose(table.times, ROWS[:, 0])
+    assert table.remarks == ("mine.csv has times: the rate of 40 Hz is not used.",)
+
+
+def test_a_column_that_is_there_twice_is_not_said_to_be_meant():
+    frame = pd.DataFrame(ROWS, columns=["time_s", "u1_mT", "u1_mT", "u3_mT"])
+    with pytest.raises(InputError, match=r"or sensor 1; instead received \['u1_mT', 'u1_mT'\]"):
+        robot().readings(frame)
+
+
+def test_a_coordinate_without_a_unit_is_told_so():
+    frame = pd.DataFrame(np.zeros((3, 3)), columns=["delta_x_1", "delta_y_1_mm", "delta_L_1_mm"])
+    with pytest.raises(
+        InputError, match="delta_x_1 of the table must be in mm or cm or m; .* received no unit"
+    ):
+        configurations_of(robot(), read_table(frame))

@@ -14,14 +14,15 @@ try:
 except ModuleNotFoundError:
     raise SystemExit("Orientations come from vqf: `pip install vqf` first.") from None
 DATA = Path(os.environ.get("REPRO_DATA_DIR", "."), "imu_chain/data/dataset")
-if not DATA.is_dir():
+FILES = sorted(DATA.glob("trial*/imu_*.csv"))
+if not FILES:
     raise SystemExit("Run `repro fetch imu_chain`; REPRO_DATA_DIR is its folder.")
 ALONG = Rotation.from_euler("y", 90, degrees=True)  # from their x along a link to our z
 PLACES, LENGTHS = [0.1, 0.3, 0.6, 0.9], [0.15, 0.29, 0.29, 0.27]
 ENDS = [0.15, 0.44, 0.73, 1.0]
 arm = repro.Arm([1, 2, 3, 4], PLACES, LENGTHS, markers=ENDS)
 figures = {}
-for file in sorted(DATA.glob("trial*/imu_*.csv")):
+for file in FILES:
     imus = pd.read_csv(file, comment="#")
     capture = pd.read_csv(file.with_name("omc.csv"), comment="#")
     clock, times = np.arange(len(imus)) / 40, np.arange(len(capture)) / 30

@@ -11,14 +11,15 @@ import repro
 from repro.estimators.fit_shape import Rig
 
 DATA = Path(os.environ.get("REPRO_DATA_DIR", "."), "soft_arm_3000/csv_files")
-if not DATA.is_dir():
+FILES = sorted(DATA.glob("optitrack*.csv"))
+if not FILES:
     raise SystemExit("Run `repro fetch soft_arm_3000`; REPRO_DATA_DIR is its folder.")
 BODIES, ANGLES = ("SA-low", "SA-middle", "SA-up"), ("Roll", "Pitch", "Yaw")
 LENGTH, ARCS = 0.63, (0.21, 0.42, 0.63)
 AFFINE = {"lower": [-6, -12, -np.pi, -0.3], "upper": [6, 12, np.pi, 0.3]}
 AFFINE["start"] = [0.3, 0.1, 0.1, 0.0]
 
-table = pd.read_csv(next(DATA.glob("optitrack*.csv")))
+table = pd.read_csv(FILES[0])
 poses = np.tile(np.eye(4), (len(table), 3, 1, 1))
 for k, name in enumerate(BODIES):
     turns = table[[f"{name}-{a}" for a in ANGLES]]

@@ -535,12 +535,16 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     InputError
         If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
     """
+    given = isinstance(path, str | PathLike)
+    require(given, "calibration", "load_calibration", "a path", type(path).__name__)
     path, source = Path(path), robot.source
     owner = path.name
     require(path.is_file(), "calibration", "load_calibration", "a file that exists", path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         same = content["schema"] == _SCHEMA and content["sha256"] == _own_hash(content)
+    except KeyError as error:
+        raise bad_input("file", owner, "JSON that Calibration.save wrote", f"one without {error}") from error
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise bad_input("file", owner, "JSON that Calibration.save wrote", error) from error
     require(same, "sha256", owner, "the hash of a file as it was written, of schema 3", "another")

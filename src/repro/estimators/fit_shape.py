@@ -431,7 +431,7 @@ class _Search:
     def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
         """Return the same, searched: from the base to the tip one segment more at a time, then all together."""
         q, both = np.tile(self.q0, (len(u), 1)), u.reshape(len(u), 2, len(places), 3)
-        reached = sorted({where.segment for where in places} - {0})
+        reached = sorted({where.segment for where in places if (self.segment <= where.segment).any()})
         for g in reached[:-1]:
             up_to = [k for k, where in enumerate(places) if where.segment <= g]
             q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]

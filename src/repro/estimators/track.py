@@ -20,6 +20,8 @@ from repro.tables import read_readings
 
 _FITTING = tuple(STATUS[number] for number in TRUSTED)
 """What the monitor says of rows whose readings fit, by name."""
+_UNMOVED = 1e-9
+"""Slope of the tip [m per unit of a coordinate] that is rounding."""
 _AT_ONCE = 256
 """So many estimates are held before their arrays are written: as objects they take ten times as much memory."""
 
@@ -132,7 +134,8 @@ class Trajectory:
         The last column names the coordinates that touch a bound of the robot.
 
         A coordinate such as ``delta_x_1_mm`` has the standard deviation ``delta_x_1_sd_mm``. The tip is in the base
-        frame: ``tip_x_mm`` and so on.
+        frame: ``tip_x_mm`` and so on. Where nothing shows a coordinate its deviation is infinite, and so are those
+        of the tip along the axes in which this coordinate moves it. Where a shape is not known, its tip is NaN.
 
         Raises
         ------
@@ -158,7 +161,7 @@ class Trajectory:
             p, G = self.robot.tip_slopes(np.where(known[:, None], self.q, 0.0))
             p[~known], C = np.nan, None
             if self.covariance is not None:
-                C = G @ np.where(known[:, None, None], self.covariance, 0.0) @ np.swapaxes(G, 1, 2)
+                C = _carried(np.where(known[:, None, None], self.covariance, 0.0), G)
                 C[~known] = np.nan
             add([(f"tip_{axis}", "mm", 1e3) for axis in "xyz"], p, C)
         columns |= {"chi2": self.chi2, "dof": self.dof, "missing": self.missing}
@@ -190,6 +193,16 @@ class Trajectory:
 
 def _counted(names: Iterable[str], counts: Iterable[int]) -> str:
     return ", ".join(f"{name} in {k} rows" for name, k in zip(names, counts, strict=True) if k)
+
+
+def _carried(C: Array, G: Array) -> Array:
+    """Return covariances behind slopes ``[t, m, n]``, infinite along axes that an open coordinate moves."""
+    open_ = np.isinf(np.diagonal(C, axis1=1, axis2=2))
+    known = ~(open_[:, :, None] | open_[:, None, :])
+    found = G @ np.where(known, C, 0.0) @ np.swapaxes(G, 1, 2)
+    moved = (np.abs(G) * open_[:, None, :] > _UNMOVED).any(axis=2)
+    found[:, *np.diag_indices(G.shape[1])] += np.where(moved, np.inf, 0.0)
+    return found
 
 
 def _listed(names: Sequence[str], marks: Array) -> Array:

@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 from urllib.parse import quote, urljoin
 
-from repro.common import InputError, bad_input, require
+from repro.common import InputError, bad_input, printable, require
 from repro_companion.run import project_folder, recordings_folder
 
 FILES = "https://raw.githubusercontent.com"
@@ -256,10 +256,13 @@ def _receive(address: str, path: Path, most: int) -> str:
         for _ in range(1 + REDIRECTS):
             with session.get(address, **options) as answer:
                 if answer.is_redirect:
-                    address = urljoin(address, answer.headers["Location"])
+                    try:
+                        address = urljoin(address, answer.headers["Location"])
+                    except ValueError:
+                        return "the server sent us on to what is no address"
                     continue
                 if not answer.ok:
-                    return f"the server answered {answer.status_code} {answer.reason}"
+                    return f"the server answered {answer.status_code} {printable(str(answer.reason))}"
                 return _written(answer.raw, path, most)
     return f"more than {REDIRECTS} redirects"
 

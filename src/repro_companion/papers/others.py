@@ -26,17 +26,14 @@ from scipy.stats import chi2, gmean
 import repro
 from repro.chain import point_on
 from repro_companion.papers import toronto
+from repro_companion.papers.fetch import states
 from repro_companion.run import project_folder, recordings_folder
 from repro_companion.show import number, rendered, sentences, study
 
 LEVEL = 0.9
 """How much of the truth a stated region is to cover."""
-FETCHED = {
-    "hall_joint": "hall_joint/data_07102024",
-    "soft_arm_3000": "soft_arm_3000/csv_files",
-    "imu_chain": "imu_chain/data/dataset",
-}
-"""Where files without a licence lie below the folder of recordings."""
+FETCHED = ("hall_joint", "soft_arm_3000", "imu_chain")
+"""Robots whose files have no licence: `repro fetch` brings them."""
 
 
 class Found(NamedTuple):
@@ -98,16 +95,14 @@ def _of_toronto(names: Mapping[str, Any]) -> dict[str, float]:
 
 
 def found(name: str) -> Found:
-    """Return what a robot gives: computed where its files are, else as it was committed."""
+    """Return what a robot gives: computed where all its files are as they were released, else as it was committed."""
     if name not in FETCHED:
         return computed(name)
     known = dict(study(f"others_{name}").to_numpy())
     ready = name != "imu_chain" or importlib.util.find_spec("vqf")
-    if ready and (recordings_folder() / FETCHED[name]).is_dir():
+    if ready and {*states(name).values()} == {"released"}:
         os.environ["REPRO_DATA_DIR"] = str(recordings_folder())  # a user's script knows no cache
-        own = computed(name)
-        if known.keys() <= own.figures.keys():  # else some files are missing
-            return own
+        return computed(name)
     return Found(robots()[name], known, {})
 
 
