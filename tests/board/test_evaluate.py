@@ -598,6 +598,8 @@ def test_odd_times_and_a_robot_without_spare_readings_are_told(tmp_path):
     u, names = robot.sensing()(shapes(robot, t)), [f"u{k}_mT" for k in range(1, 5)]
     for times, words in (
         (1e-3 * t, "are 2.5e-05 s apart, but the robot file says 40 readings in a second: is the unit"),
+        (0.19 * t, "are 0.00475 s apart, but the robot file says 40 readings in a second: is the unit"),
+        (5.2 * t, "are 0.13 s apart, but the robot file says 40 readings in a second: is the unit"),
         (np.where(t > t[30], t + 2, t), "The longest gap without a reading is 2.02 s, after 0.750 s."),
     ):
         assert words in str(track_file(write_table(tmp_path / "a.csv", times, names, u), path))
@@ -671,6 +673,15 @@ def test_a_spike_in_a_hold_is_left_out_named_and_changes_nothing(tmp_path):
                                before.found.estimate / before.found.tolerances, atol=0.02)  # fmt: skip
     assert "left out: 1: sensor 2 at 9 s (32.77, not -2.23)." in str(found)
     assert "left out" not in str(before)
+
+
+def test_a_hold_whose_readings_vary_by_more_than_five_times_their_noise_is_named(tmp_path):
+    robot, t = repro.load_robot(robot_file(tmp_path)), np.arange(40) / 20
+    size = robot.noise * np.where(t < 0.99, 4.9, 5.1)[:, None] * (-1) ** np.arange(40)[:, None]
+    windows = np.array([[0.0, 0.95], [1.0, 1.95]])
+    means, remarks = cleaning.averaged(robot, t, size, windows, ["a", "b"])
+    assert remarks == ["Poses in which the readings were not still: 1: b."]
+    np.testing.assert_allclose(means, 0, atol=1e-12)
 
 
 def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):

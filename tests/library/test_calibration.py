@@ -220,6 +220,13 @@ def test_a_magnet_of_another_size_and_place_is_found_where_its_tolerance_allows_
         calibrate(tight, q, truth.sensing()(q), 1e-3, tolerances=replace(FIXED, magnet_position=1e-5))
 
 
+def test_what_a_size_changes_of_the_moments_adds_to_what_is_known_of_them():
+    robot, change = paper_robot(1), {"magnet 1 polarisation": 0.1}
+    drawn = robot.sensing().moments
+    calibrated = placed(robot.replaced(moments=1.2 * drawn), change)
+    np.testing.assert_allclose(calibrated.moments, (1.2 + math.expm1(0.1)) * drawn, rtol=1e-12)
+
+
 def test_a_part_moves_along_the_curve_and_beyond_its_end_straight_on():
     robot, q = paper_robot(1), np.array([0.02, -0.01, 0.004])
     inside = robot.replaced(sensors=[Sensor(1, 0.10, radial=0.013)])
