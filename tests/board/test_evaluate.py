@@ -15,6 +15,7 @@ from repro.estimators.track import Trajectory
 from repro.tolerances import placed
 from repro_board import cleaning, report
 from repro_board import lag as module
+from repro_board.calibrations import by_motion
 from repro_board.cli import main
 from repro_board.evaluate import (
     calibrate_by_motion,
@@ -841,6 +842,15 @@ def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike)
                                (found.estimate, found.deviation, found.tolerances))  # fmt: skip
     assert f"sensor 1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
     assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
+
+
+def test_no_parameter_is_less_certain_after_a_motion_than_before_it():
+    """Five times the noise that is stated: what the motion does not tell keeps its tolerance all the same."""
+    robot, rng = repro.load_robot(EXAMPLE), np.random.default_rng(0)
+    u = robot.sensing()(shapes(robot, np.arange(0, 10, 0.04)))
+    found, _ = by_motion(robot, u + 5 * robot.noise * rng.normal(size=u.shape))
+    assert found.chi2 > 2
+    assert (found.deviation < found.tolerances * (1 + 1e-9)).all()
 
 
 def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_path):
