@@ -680,9 +680,8 @@ def test_a_hold_whose_readings_vary_by_more_than_five_times_their_noise_is_named
     robot, t = repro.load_robot(robot_file(tmp_path)), np.arange(40) / 20
     size = robot.noise * np.where(t < 0.99, 4.9, 5.1)[:, None] * (-1) ** np.arange(40)[:, None]
     windows = np.array([[0.0, 0.95], [1.0, 1.95]])
-    means, remarks = cleaning.averaged(robot, t, size, windows, ["a", "b"])
+    _, remarks = cleaning.averaged(robot, t, size, windows, ["a", "b"])
     assert remarks == ["Poses in which the readings were not still: 1: b."]
-    np.testing.assert_allclose(means, 0, atol=1e-12)
 
 
 def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):

@@ -204,8 +204,7 @@ def test_the_deviation_of_a_rig_is_that_of_the_residuals_where_shapes_determine_
         fit_shape(robot, T, [(2, 0.1)], noise=(NOISE[0] / n, NOISE[1] / n), fit_rig=True).rig.deviation
         for n in (1, 10)
     )
-    across = [1, 2, 4, 5]  # y and z of place and turn
-    np.testing.assert_allclose(tenth[0, across], right[0, across], rtol=0.2)
+    np.testing.assert_allclose(tenth[0, [1, 2, 4, 5]], right[0, [1, 2, 4, 5]], rtol=0.2)  # y and z
 
 
 def test_more_segments_fit_a_rod_better():

@@ -177,8 +177,8 @@ def test_magnets_do_not_touch():
     a, b = (magnet.at for magnet in found.robot.magnets)
     assert abs(a - b) >= 8e-3
     near = [Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.03)]  # a gap of 2 mm, and they stay
-    chips = arm(chips=2, chip_free={"at": (0.0, 0.06)})
-    assert improve_design(chips.replaced(magnets=near), target=1e-6, **FEW).changes
+    fixed = arm(chips=2, chip_free={"at": (0.0, 0.06)}).replaced(magnets=near)
+    assert improve_design(fixed, target=1e-6, **FEW).changes
 
 
 def test_a_part_off_the_backbone_turns_around_it_at_its_distance():
