@@ -296,9 +296,8 @@ def test_a_hinge_with_an_imu_has_its_numbers_in_closed_form(information, undeter
     found = check_design(Robot([BallJoint("x"), Link(0.1)], imus=[imu], **box))
     np.testing.assert_allclose(found.tip, 1e-3 / np.sqrt(information), rtol=1e-9)
     np.testing.assert_allclose(found.tip_within_bounds, 1e-3 / np.sqrt(1 + information), rtol=1e-9)
-    built = (
-        1 / (1 + information) + (information / (1 + information)) ** 2
-    )  # it follows the IMU's error by its share
+    # The estimate follows the error of the IMU by the weight of its readings.
+    built = 1 / (1 + information) + (information / (1 + information)) ** 2
     np.testing.assert_allclose(found.tip_as_built, 1e-3 * np.sqrt(built), rtol=1e-9)
     assert found.spread == pytest.approx(1e-3, rel=0.1)
     assert found.added == {"imu": pytest.approx(np.log(1 + information) / 2)}
