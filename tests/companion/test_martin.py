@@ -129,12 +129,6 @@ def test_perfect_sensors_and_cameras_see_the_arm(moved):
     assert pcc < middle < ends / 3
 
 
-def test_a_wandering_error_has_its_size_from_the_first_step_on_and_fades():
-    x = martin.wandering(32, (4000, 1), 1.0, np.random.default_rng(0))[..., 0]
-    np.testing.assert_allclose(x.std(axis=1), 1, atol=0.06)
-    assert (x[0] * x[31]).mean() == pytest.approx(np.exp(-1), abs=0.06)  # 31 readings are a second
-
-
 def test_errors_of_the_sensors_have_their_sizes(moved):
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (1000, 9, 1))  # 20 s
     quick = martin.Motion(moved.time_s[:1000], moved.positions[:1000], moved.arcs, upright)
