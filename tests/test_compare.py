@@ -54,6 +54,7 @@ def found(root: Path, text: str, name: str = "table_2.csv", **options: bool) -> 
         ("T4", "T5", ["table_2.csv has 1 rows that only one of the two has"]),
         ("error_mm", "error_m", ["only one of the two has error_m, error_mm"]),
         ("T0,chaotic,1.0,one\n", "", ["table_2.csv has 1 rows that only one of the two has"]),
+        ("four\n", "four\nT5,steady,1.0,five\n", ["table_2.csv has 1 rows that only one of the two has"]),
     ],
 )
 def test_cells_may_move_as_far_as_their_tolerance(root, before, after, said):

@@ -15,6 +15,7 @@ from repro.estimators.track import Trajectory
 from repro.tolerances import placed
 from repro_board import cleaning, report
 from repro_board import lag as module
+from repro_board.calibrations import by_motion
 from repro_board.cli import main
 from repro_board.evaluate import (
     calibrate_by_motion,
@@ -625,6 +626,8 @@ def test_odd_times_and_a_robot_without_spare_readings_are_told(tmp_path):
     u, names = robot.sensing()(shapes(robot, t)), [f"u{k}_mT" for k in range(1, 5)]
     for times, words in (
         (1e-3 * t, "are 2.5e-05 s apart, but the robot file says 40 readings in a second: is the unit"),
+        (0.19 * t, "are 0.00475 s apart, but the robot file says 40 readings in a second: is the unit"),
+        (5.2 * t, "are 0.13 s apart, but the robot file says 40 readings in a second: is the unit"),
         (np.where(t > t[30], t + 2, t), "The longest gap without a reading is 2.02 s, after 0.750 s."),
     ):
         assert words in str(track_file(write_table(tmp_path / "a.csv", times, names, u), path))
@@ -698,6 +701,14 @@ def test_a_spike_in_a_hold_is_left_out_named_and_changes_nothing(tmp_path):
                                before.found.estimate / before.found.tolerances, atol=0.02)  # fmt: skip
     assert "left out: 1: sensor 2 at 9 s (32.77, not -2.23)." in str(found)
     assert "left out" not in str(before)
+
+
+def test_a_hold_whose_readings_vary_by_more_than_five_times_their_noise_is_named(tmp_path):
+    robot, t = repro.load_robot(robot_file(tmp_path)), np.arange(40) / 20
+    size = robot.noise * np.where(t < 0.99, 4.9, 5.1)[:, None] * (-1) ** np.arange(40)[:, None]
+    windows = np.array([[0.0, 0.95], [1.0, 1.95]])
+    _, remarks = cleaning.averaged(robot, t, size, windows, ["a", "b"])
+    assert remarks == ["Poses in which the readings were not still: 1: b."]
 
 
 def test_poses_that_cannot_be_or_lack_a_sensor_are_left_out_and_named(tmp_path):
@@ -861,6 +872,15 @@ def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike)
                                (found.estimate, found.deviation, found.tolerances))  # fmt: skip
     assert f"sensor 1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
     assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
+
+
+def test_no_parameter_is_less_certain_after_a_motion_than_before_it():
+    """Five times the noise that is stated: what the motion does not tell keeps its tolerance all the same."""
+    robot, rng = repro.load_robot(EXAMPLE), np.random.default_rng(0)
+    u = robot.sensing()(shapes(robot, np.arange(0, 10, 0.04)))
+    found, _ = by_motion(robot, u + 5 * robot.noise * rng.normal(size=u.shape))
+    assert found.chi2 > 2
+    assert (found.deviation < found.tolerances * (1 + 1e-9)).all()
 
 
 def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_path):

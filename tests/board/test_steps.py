@@ -241,6 +241,8 @@ def test_the_boards_clock_counts_over_wraps_and_resets():
     np.testing.assert_allclose(times, [7.0, 7.01, 7.02, 7.03], atol=1e-9)
     times = timed(Steps(CHIP), (7.0, 90_000_000), (7.01, 90_010_000), (8.0, 5000), (8.01, 15_000))
     np.testing.assert_allclose(times, [7.0, 7.01, 8.0, 8.01], atol=1e-9)
+    times = timed(Steps(CHIP), (7.0, 10_000), (67.3, 60_010_000))  # a minute of silence
+    np.testing.assert_allclose(times, [7.0, 67.0], atol=1e-9)
     times = timed(Steps(CHIP, "arrival"), (7.0, 10), (7.5, 20))
     np.testing.assert_allclose(times, [7.0, 7.5])
 
@@ -274,6 +276,7 @@ def test_samples_that_arrive_together_are_spread_over_the_time_since_the_ones_be
     held_up = timed(steps, (2.96, *[None] * 100))  # a second was held up and comes at once
     np.testing.assert_allclose(np.diff([regular[-1], *held_up]), 0.01, atol=1e-9)
     assert timed(steps, (3.96, None)) == [3.96]  # a pause is a pause
+    np.testing.assert_allclose(timed(steps, (13.96, None, None)), [13.95, 13.96], atol=1e-9)
 
 
 def test_a_stated_rate_that_is_too_low_does_not_make_time_run_ahead():

@@ -63,6 +63,15 @@ def test_filters_are_weighed_as_bayes_says():
     np.testing.assert_allclose(C[:, 0, 0], 0.2, rtol=1e-6)
 
 
+def test_the_filter_expects_the_speed_and_the_changes_of_its_training():
+    """Along a circle of 8 mm each axis is a sine; its speed changes by 0.5 s times its acceleration in 0.5 s."""
+    t, rate = np.arange(4000) / rig.RATE_HZ, 2 * np.pi / 20
+    bend = 8 * np.column_stack([np.cos(rate * t), np.sin(rate * t)])
+    kalman = BendFilter(rig.Recording("T5", 1e-3 * np.column_stack([bend, 0 * t]), readings(bend))).kalman
+    speed_and_change = [[8 / 2**0.5 * rate] * 2, [0.5**0.5 * 8 / 2**0.5 * rate**2] * 2]
+    np.testing.assert_allclose([kalman.velocity, kalman.acceleration], speed_and_change, rtol=0.02)
+
+
 def motion(frames):
     t = np.arange(frames) / rig.RATE_HZ
     return np.column_stack([5 + np.cos(t), 2 * np.sin(t)])

@@ -159,6 +159,10 @@ def test_another_length_and_noise(again, offset_capture):
     errors = martin_capture.authors_errors(found)[PCC_16]
     assert 800 < len(errors) < 1200
     assert np.median(errors) == pytest.approx(np.linalg.norm(OFFSET_MM), abs=0.2)
+    radius = martin_capture.hull(found).query("arc_mm >= 360")["radius_mm"]
+    np.testing.assert_allclose(
+        radius, np.linalg.norm(OFFSET_MM) + 0.67, atol=0.2
+    )  # a quarter is above 0.67 mm
 
 
 def test_rows_of_the_recording_are_comparable(recording, both_ways):

@@ -233,6 +233,13 @@ def test_a_false_start_is_refused_even_by_a_whole_period(monkeypatch, late):
         rig.simulated("T1")
 
 
+def test_a_change_of_six_times_the_noise_is_a_start():
+    """Readings of -1 and 1 mV in turn differ by 2 mV, as those with a noise of root two; six times that is 8.49."""
+    u = np.tile((-1.0) ** np.arange(11)[:, None], (1, 3))
+    u[10] = 8.6
+    assert rig.start_of_readings(u, "made") == 10
+
+
 def test_readings_of_another_motion_are_said_to_hardly_follow(t1):
     noise = np.random.default_rng(0).normal(size=t1.u.shape)
     assert "hardly follow" in rig.doubts(t1.q, noise, "noise")[0]

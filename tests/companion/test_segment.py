@@ -135,6 +135,15 @@ def test_readings_without_errors_are_those_of_the_drawing():
     np.testing.assert_allclose(seen.imus[:, 0], np.tile([0, 0, 0, 1.0], (STEPS, 1)), atol=1e-15)
 
 
+@pytest.mark.parametrize("interval_s", [1.0, 10.0])
+def test_headings_of_imus_fade_within_forty_seconds_however_often_they_are_read(interval_s):
+    robot, rng = segment.built(np.random.default_rng(0), 0.0), np.random.default_rng(1)
+    q = segment._imus(robot, Rotation.identity(20_000), interval_s, rng, 1.0)
+    heading, later = Rotation.from_quat(q[:, 0]).as_rotvec()[:, 2], round(40 / interval_s)
+    like = (heading[later:] * heading[:-later]).mean() / (heading**2).mean()
+    assert like == pytest.approx(math.exp(-1), abs=0.12)
+
+
 def test_imus_show_the_orientation_of_up_to_one_round_and_the_latency_before():
     T = segment.motion(segment.MOTIONS[0], 400)
     seen = segment.read(segment.built(np.random.default_rng(0), 0.0), T, np.random.default_rng(0), 0.0)[0]

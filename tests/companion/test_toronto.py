@@ -97,6 +97,16 @@ def test_constants_that_were_put_in_are_found(monkeypatch):
     np.testing.assert_allclose(toronto.calibration_constants(), constants, atol=1e-4)
 
 
+def test_a_radian_counts_as_much_as_a_tenth_of_a_metre(monkeypatch):
+    """At 0.1 m from an axis positions do not turn about it and rotations do: the frame is turned half as far."""
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3], T[2:, :3, :3] = [0.1, -0.1] * 2, np.diag([1.0, -1.0, -1.0])
+    truth = T.copy()
+    truth[:, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.02]).as_matrix() @ T[:, :3, :3]
+    monkeypatch.setattr(toronto, "tracker_pairs", lambda: [(np.arange(4.0), T, truth)] * 2)
+    np.testing.assert_allclose(toronto.calibration_constants()[:6], [0, 0, 0, 0, 0, 0.01], atol=1e-5)
+
+
 @pytest.mark.slow
 def test_white_and_lasting_errors_are_told_apart(monkeypatch):
     """An error that fades by e in 2 s, beside a white one: their sizes and the time are found."""

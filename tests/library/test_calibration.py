@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from repro import (
+    BallJoint,
     ConstantCurvature,
     Disc,
     FreeBody,
@@ -27,6 +28,7 @@ from repro import (
     load_robot,
 )
 from repro.chain import point_on
+from repro.estimators.calibration import _model_error, outside
 from repro.tolerances import Tolerances, placed, priors_of, slopes_of
 
 from .robots import RELEASED, STORED, bounds, paper_robot
@@ -220,6 +222,13 @@ def test_a_magnet_of_another_size_and_place_is_found_where_its_tolerance_allows_
         calibrate(tight, q, truth.sensing()(q), 1e-3, tolerances=replace(FIXED, magnet_position=1e-5))
 
 
+def test_what_a_size_changes_of_the_moments_adds_to_what_is_known_of_them():
+    robot, change = paper_robot(1), {"magnet 1 polarisation": 0.1}
+    drawn = robot.sensing().moments
+    calibrated = placed(robot.replaced(moments=1.2 * drawn), change)
+    np.testing.assert_allclose(calibrated.moments, (1.2 + math.expm1(0.1)) * drawn, rtol=1e-12)
+
+
 def test_a_part_moves_along_the_curve_and_beyond_its_end_straight_on():
     robot, q = paper_robot(1), np.array([0.02, -0.01, 0.004])
     inside = robot.replaced(sensors=[Sensor(1, 0.10, radial=0.013)])
@@ -331,6 +340,15 @@ def test_what_left_out_poses_show_beyond_the_noise_is_an_error_of_the_model():
         held = (away * np.linalg.solve(found.q_covariance(x), away[..., None])[..., 0]).sum(-1) < 6.25
         assert 0.8 < held.mean() < 0.97
         assert np.sqrt(np.diag(found.model_error)).mean() == pytest.approx(size / 2**0.5, rel=0.25)
+
+
+def test_more_poses_show_a_smaller_error_of_the_model():
+    """A tenth more variance is six standard deviations of the mean square of 8,000 readings, and two of 800."""
+    off = np.random.default_rng(0).standard_normal((1000, 8))
+    off *= np.sqrt(1.1 / np.square(off).mean())
+    expected, own = np.tile(np.eye(8), (1000, 1, 1)), np.sqrt(np.square(off).mean(1))
+    assert _model_error(off, expected, own).any()
+    assert not _model_error(off[:100], expected[:100], own[:100]).any()
 
 
 def test_magnets_of_several_shapes_have_moments_of_their_own():
@@ -514,6 +532,14 @@ def test_a_robot_that_is_as_described_is_no_reason_to_refuse(poses):
         rng = np.random.default_rng(seed)
         q = shapes(poses, rng)
         assert calibrate(robot, q, robot.sensing()(q) + 1e-3 * rng.normal(size=(poses, 5)), 1e-3).chi2 < 2
+
+
+@pytest.mark.parametrize(("std", "slack"), [(0.0, 0.01), (0.02, 0.11)])
+def test_a_pose_may_be_outside_by_a_hundredth_of_the_range_and_five_deviations(std, slack):
+    robot = Robot([BallJoint("x"), Link(0.1)], lower=[-0.3], upper=[0.7])
+    q = np.array([[-0.3 - slack], [0.7 + slack]])
+    for more, out in ((-1e-4, False), (1e-4, True)):
+        assert (outside(robot, q + np.array([[-more], [more]]), [[std**2]]) == out).all()
 
 
 def test_poses_outside_the_bounds_are_named_by_their_row():

@@ -292,9 +292,13 @@ def test_a_reading_too_near_a_magnet_is_left_out_by_every_estimator_and_named():
 def test_a_hinge_with_an_imu_has_its_numbers_in_closed_form(information, undetermined):
     """A range of root 12 hundredths has a deviation of 0.01 rad, at 0.1 m 1 mm; readings may know more."""
     box = {"lower": [-0.01 * np.sqrt(3)], "upper": [0.01 * np.sqrt(3)], "noise": 0.01 / np.sqrt(information)}
-    found = check_design(Robot([BallJoint("x"), Link(0.1)], imus=[Imu(2, 0.1, name="imu")], **box))
+    imu = Imu(2, 0.1, name="imu", tolerance={"heading": 0.01})
+    found = check_design(Robot([BallJoint("x"), Link(0.1)], imus=[imu], **box))
     np.testing.assert_allclose(found.tip, 1e-3 / np.sqrt(information), rtol=1e-9)
     np.testing.assert_allclose(found.tip_within_bounds, 1e-3 / np.sqrt(1 + information), rtol=1e-9)
+    # The estimate follows the error of the IMU by the weight of its readings.
+    built = 1 / (1 + information) + (information / (1 + information)) ** 2
+    np.testing.assert_allclose(found.tip_as_built, 1e-3 * np.sqrt(built), rtol=1e-9)
     assert found.spread == pytest.approx(1e-3, rel=0.1)
     assert found.added == {"imu": pytest.approx(np.log(1 + information) / 2)}
     assert len(found.undetermined) == undetermined  # from half of the deviation on

@@ -196,6 +196,17 @@ def test_the_rig_is_found_from_many_shapes_even_if_some_are_wrong(wrong):
         fit_shape(robot, T, noise=NOISE)
 
 
+def test_the_deviation_of_a_rig_is_that_of_the_residuals_where_shapes_determine_it():
+    """A hinge shows how its base lies across the axis, as well if the stated noise is a tenth of the true one."""
+    robot = Robot([BallJoint("x"), Link(0.1)])
+    T = noisy(robot.poses(np.linspace(-1, 1, 80)[:, None], [point_on(2, 0.1)]))
+    right, tenth = (
+        fit_shape(robot, T, [(2, 0.1)], noise=(NOISE[0] / n, NOISE[1] / n), fit_rig=True).rig.deviation
+        for n in (1, 10)
+    )
+    np.testing.assert_allclose(tenth[0, [1, 2, 4, 5]], right[0, [1, 2, 4, 5]], rtol=0.2)  # y and z
+
+
 def test_more_segments_fit_a_rod_better():
     """Which segments describe my robot: one, two and three, fitted to a rod whose curvature changes along it."""
     rod, sizes = Robot([AffineCurvature(0.33)]), []

@@ -103,6 +103,14 @@ def test_the_one_free_number_goes_to_its_best_place():
     assert found.changes[0].startswith(f"magnet 1 {60 - best:.2g} mm towards the base, to {best:.4g} mm: ±")
 
 
+def test_a_chip_says_by_how_much_it_comes_nearer_to_its_magnet():
+    """At rest the arm is straight and 1.5 mm longer, the magnet on its axis and the chip 10 mm beside it."""
+    found = improve_design(arm(chip_free={"at": (0.0, 0.06)}), **FEW)
+    at = 1e3 * found.robot.sensors[0].at
+    nearer = math.hypot(61.5, 10.0) - math.hypot(61.5 - 1.025 * at, 10.0)
+    assert found.changes[0].startswith(f"sensor 1 {nearer:.2g} mm nearer to magnet 1, to {at:.4g} mm: ±")
+
+
 def test_a_design_that_is_the_best_stays():
     best = improve_design(arm(free={"at": (0.02, 0.06)}), **FEW).robot
     again = improve_design(best, target=1e-6, **FEW)
@@ -168,6 +176,9 @@ def test_magnets_do_not_touch():
     found = improve_design(two, target=1e-6, **FEW)
     a, b = (magnet.at for magnet in found.robot.magnets)
     assert abs(a - b) >= 8e-3
+    near = [Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.03)]  # a gap of 2 mm, and they stay
+    fixed = arm(chips=2, chip_free={"at": (0.0, 0.06)}).replaced(magnets=near)
+    assert improve_design(fixed, target=1e-6, **FEW).changes
 
 
 def test_a_part_off_the_backbone_turns_around_it_at_its_distance():

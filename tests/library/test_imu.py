@@ -126,6 +126,21 @@ def test_links_that_lead_aside_are_those_of_a_robot_and_are_found():
     assert without.arm(drawn) is drawn
 
 
+def test_the_residual_is_the_root_mean_square_of_distances():
+    """Markers that are 1 mm to one side and the other in turn: no frame explains it."""
+    q = bent(3, 40, 9)
+    seen = exact_arcs(q, EIGHT, EIGHT.markers)
+    seen[..., 0] += 1e-3 * (-1) ** np.arange(40)[:, None]
+    assert calibrate_imus(q, seen, exact_arcs, EIGHT, per_imu=False).rms == pytest.approx(1e-3, rel=0.05)
+
+
+def test_an_imu_at_the_last_marker_counts():
+    arm = Arm([0, 1, 2], [0.0, 0.3, 0.6], [0.3, 0.3], markers=[0.2, 0.6], sub_segments=1)
+    q = bent(3, 20, 3)
+    found = calibrate_imus(q, exact_arcs(q, arm, arm.markers), exact_arcs, arm)
+    assert [name for name in found.names if "heading" in name] == ["heading_1", "heading_2"]
+
+
 def test_orientations_of_an_arm():
     q, turn = bent(4, 3, 9), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
     arm = replace(UNEVEN, base_turn=turn)

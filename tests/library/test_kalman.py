@@ -175,6 +175,13 @@ def test_two_steps_of_motion_are_one(a, b):
     np.testing.assert_allclose(F2 @ Q1 @ F2.T + Q2, Q, rtol=1e-9, atol=1e-12)
 
 
+def test_acceleration_and_velocity_that_are_not_given_are_half_of_the_range():
+    usual, same = (KalmanFilter(lambda q: q, [-1.0], [3.0], 0.1, *given) for given in ((), ([2.0], [2.0])))
+    for first, second in zip(usual.init([0.0]), same.init([0.0]), strict=True):
+        np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(usual.motion(0.1)[1], same.motion(0.1)[1])
+
+
 def test_a_remembered_motion_is_that_of_its_own_time():
     """More times than are remembered, some again: all bits as of a filter that remembers nothing."""
     times = np.cumsum([0.01, 0.02, *np.linspace(0.001, 0.02, 100), 0.02, 0.01])

@@ -121,7 +121,7 @@ def test_what_cannot_be_is_refused_in_words(make, message):
         make()
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES, Disc(2e-3, 8e-3, 1300.0), Ring(2e-3, 1e-3, 8e-3, 1300.0)])
 def test_multipoles_describe_the_field_beyond_the_reach_and_not_within(shape):
     """On the axis of a magnet the field is the series sum of (l + 1) A_l / z^(l + 2), if that converges."""
     moments = shape.multipoles(41)

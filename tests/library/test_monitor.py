@@ -138,6 +138,15 @@ def test_what_is_not_decided_of_an_angle_goes_the_shorter_way_round():
     assert (np.sqrt(found.covariance[20:, 0, 0]) < 0.1).all()
 
 
+def test_a_robot_that_rests_at_a_bound_is_as_certain_as_without_a_monitor():
+    """Noise takes half of the rows beyond the bound; only one in twenty fits so badly that the bound is doubted."""
+    fit = LevenbergMarquardt(lambda q: q * np.ones(4), [-1.0], [1.0], noise=0.001)
+    u = 1 + 0.001 * np.random.default_rng(0).normal(size=(400, 4))
+    found, bare = (track(fit, u, monitor=monitor) for monitor in ("auto", None))
+    assert found.details["at_bound"].mean() > 0.4
+    assert (found.covariance == bare.covariance).mean() > 0.9
+
+
 def test_a_slow_drift_is_named_and_its_alarm_ends_with_it(method):
     """2 uT/s: five seconds after it has passed ten standard deviations the sensor has long been named."""
     times, _, u = moving(rows=1050)
@@ -196,6 +205,14 @@ def test_one_impossible_code_changes_one_row(method, value):
     np.testing.assert_array_equal(found.missing, expected.missing)
 
 
+def test_a_glitch_of_all_readings_in_an_alarm_is_forgotten_and_the_part_is_named():
+    sent = faulty(U, "scaled", 4, 60)
+    sent[80:82] += 0.3
+    found = track(METHODS["Kalman"], sent, times=TIMES)
+    assert set(found.status[180:]) == {"left out"}
+    assert {tuple(np.flatnonzero(row)) for row in found.suspects[180:]} == {(4,)}
+
+
 def test_the_smoother_says_what_track_says():
     sent, fit = faulty(U, "unplugged", 2, 80), METHODS["Kalman"]
     found, told = smooth(fit, sent, times=TIMES), track(fit, sent, times=TIMES)
@@ -204,6 +221,14 @@ def test_the_smoother_says_what_track_says():
     good = smooth(fit, U, times=TIMES, monitor=None)
     tip, wrong, usual = (TWO.tip(q)[:, :3, 3] for q in (Q, found.q, good.q))
     assert np.linalg.norm(wrong - tip, axis=-1).mean() < 2 * np.linalg.norm(usual - tip, axis=-1).mean()
+
+
+def test_at_the_last_reading_the_smoother_states_the_covariance_of_the_filter():
+    """Three times the noise that is stated, from which both grow."""
+    u = U + 8**0.5 * TWO.noise * np.random.default_rng(0).normal(size=U.shape)
+    found, back = (run(METHODS["Kalman"], u, times=TIMES) for run in (track, smooth))
+    assert found.details["growth"][-1] > 3
+    np.testing.assert_allclose(back.covariance[-1], found.covariance[-1], rtol=1e-9)
 
 
 def test_a_robot_that_jumps_starts_anew_and_nothing_goes_back_from_there():

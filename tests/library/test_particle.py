@@ -99,6 +99,13 @@ def test_systematic_resampling_takes_every_particle_within_one_of_its_expected_n
     assert (np.abs(counts - w.size * w[0] / w.sum()) < 1 + 1e-9).all()
 
 
+@pytest.mark.parametrize(("rate_hz", "steps"), [(None, 50.0), (40.0, 80.0), (2.0, 10.0)])
+def test_process_noise_that_is_not_given_is_half_of_the_range_in_a_second(rate_hz, steps):
+    """A fiftieth of the range if no rate is stated, and at most a tenth."""
+    robot = arc(0.03, B444B).replaced(lower=[-1.0, -0.5], upper=[1.0, 0.5], noise=0.1, rate_hz=rate_hz)
+    np.testing.assert_allclose(ParticleFilter(robot).process_noise, [2.0 / steps, 1.0 / steps])
+
+
 def test_multinomial_resampling_draws_independently():
     w, rng = np.array([[0.1, 0.2, 0.0, 0.7]]), np.random.default_rng(0)
     counts = np.array(
