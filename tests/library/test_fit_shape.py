@@ -205,6 +205,9 @@ def test_the_deviation_of_a_rig_is_that_of_the_residuals_where_shapes_determine_
         for n in (1, 10)
     )
     np.testing.assert_allclose(tenth[0, [1, 2, 4, 5]], right[0, [1, 2, 4, 5]], rtol=0.2)  # y and z
+    assert (np.maximum(tenth, right)[1] <= [*[10e-3 + 1e-9] * 3, *[0.2 + 1e-9] * 3]).all(), (
+        "never above the prior"
+    )
 
 
 def test_more_segments_fit_a_rod_better():

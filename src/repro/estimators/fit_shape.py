@@ -490,8 +490,10 @@ class _Search:
         std = np.tile(np.repeat([_RIG_POSITION, _RIG_ROTATION], 3), 1 + n)
         std[:6] *= wider
         trials = _RigTrials(self, T, rig)
-        fit = gauss_newton(trials.trial, std**-2, iterations=_RIG_ITERATIONS, tolerance=_TOLERANCE)
-        deviation = np.sqrt(trials.typical * np.diag(np.linalg.inv(fit.information)))
+        prior = std**-2
+        fit = gauss_newton(trials.trial, prior, iterations=_RIG_ITERATIONS, tolerance=_TOLERANCE)
+        of_shapes = (fit.information - np.diag(prior)) / trials.typical
+        deviation = np.sqrt(np.diag(np.linalg.inv(of_shapes + np.diag(prior))))
         return replace(trials.rig, deviation=deviation.reshape(1 + n, 6))
 
 
