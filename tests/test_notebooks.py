@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from repro.common import InputError
+from repro_companion.run import declared
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -58,6 +59,15 @@ def test_a_page_shows_its_item_first(page):
     tags = [tag for cell in PAGES[page] for tag in cell["metadata"].get("tags", [])]
     assert 1 <= tags.count("first") <= 2
     assert tags.count("parameters") == 1
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_number_that_a_page_takes_has_limits(page):
+    """Else a huge count runs without end; seeds may be anything from 0."""
+    for name, one in declared(ROOT / "notebooks" / f"{page}.ipynb").items():
+        if one.kind in ("int", "float"):
+            assert not one.allows(-1e30), name
+            assert name == "seed" or one.kind == "float" or not one.allows(10**30), name
 
 
 @pytest.mark.parametrize("page", PAGES)

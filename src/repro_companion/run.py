@@ -1,7 +1,8 @@
 """Run a notebook with parameters: whole or not at all, with a record of what it was made from.
 
 A notebook declares its parameters in the cell tagged ``parameters``, one a line: ``name: type = default  # meaning``.
-The meaning may end in what is allowed: ``, at least 1``, ``, above 0 and at most 10``, ``, one of: a, b``.
+The meaning may end in what is allowed: ``, at least 1``, ``, above 0 and at most 10``, ``, 0 to 10`` or
+``, one of: a, b``.
 """
 
 from __future__ import annotations
@@ -55,8 +56,11 @@ READERS: dict[str, Callable[[str], Json]] = {
 }
 """How a typed text becomes a value of each kind."""
 BOUNDS = {"at least": operator.ge, "above": operator.gt, "at most": operator.le, "below": operator.lt}
-_BOUND = rf"(?:{'|'.join(BOUNDS)}) [-+]?[\d.]+(?:e[-+]?\d+)?"
-_RULE = re.compile(rf",\s*(one of: [^\[\]]+|{_BOUND}(?: and {_BOUND})?)\s*(?:\[[^]]*\])?$")
+_NUMBER = r"[-+]?[\d.]+(?:e[-+]?\d+)?"
+_BOUND = rf"(?:{'|'.join(BOUNDS)}) {_NUMBER}"
+_RULE = re.compile(
+    rf",\s*(one of: [^\[\]]+|{_NUMBER} to {_NUMBER}|{_BOUND}(?: and {_BOUND})?)\s*(?:\[[^]]*\])?$"
+)
 _ONE_THREAD = ("OMP_NUM", "MKL_NUM", "OPENBLAS_NUM", "NUMEXPR_NUM", "NUMBA_NUM", "VECLIB_MAXIMUM")
 
 
@@ -84,7 +88,9 @@ class Parameter:
         values = value if self.kind == "list" else [value]
         if self.rule.startswith("one of: "):
             return {typed(one) for one in values} <= set(self.rule[8:].split(", "))
-        bounds = re.findall(rf"({'|'.join(BOUNDS)}) (\S+)", self.rule)
+        low, to, high = self.rule.partition(" to ")
+        ends = f"at least {low} and at most {high}" if to else self.rule
+        bounds = re.findall(rf"({'|'.join(BOUNDS)}) (\S+)", ends)
         numbers = all(type(one) in (int, float) for one in values)
         within = (BOUNDS[word](one, float(bound)) for word, bound in bounds for one in values)
         return not bounds or (numbers and all(within))

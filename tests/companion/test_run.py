@@ -61,6 +61,7 @@ def test_another_type_is_refused_in_words(kind, text):
     ("kind", "meaning", "allowed", "outside"),
     [
         ("int", "how many, at least 1", "1", "0"),
+        ("float", "time, 0.1 to 1 [s]", "0.1", "1.5"),
         ("float", "share, above 0 and at most 1 [-]", "1", "0"),
         ("float", "noise [mT], below 1e-3", "-5", "0.001"),
         ("str", "ring, one of: released, as printed", "as printed", "printed"),
