@@ -109,7 +109,7 @@ if TYPE_CHECKING:
         Sensing as Sensing,
     )
 
-__version__ = "1.0.0"
+__version__ = "1.1.0"
 
 _HOMES = {
     "chain": "AffineCurvature BallJoint ConstantCurvature FreeBody Link",
