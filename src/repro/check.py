@@ -224,9 +224,9 @@ class _Seen(NamedTuple):
 def _seen(robot: Assembly, samples: int, seed: int) -> _Seen:
     """Return random shapes within the bounds, and what readings tell in them; refuse a robot that has none."""
     owner = "check"
-    lower, upper, noise = _stated(robot, owner)
     whole = isinstance(samples, int | np.integer) and 1 < samples <= _MOST_SAMPLES
     require(whole, "samples", owner, f"a whole number, at least 2 and at most {_MOST_SAMPLES}", samples)
+    lower, upper, noise = _stated(robot, owner)
     sensing, free = sensing_of(robot), upper > lower
     require(free.any(), "bounds", owner, "such that a coordinate is free", "none that is")
     q = np.random.default_rng(seed).uniform(lower, upper, (samples, robot.n_q))

@@ -261,9 +261,9 @@ def texts_of(module: Path) -> set[str]:
 
 
 def test_every_listed_file_has_a_reader():
-    """It is a page of the book, and code of a paper names the file, or its folder as far as the list does."""
+    """It is a page of the book, and code of a paper or of a robot names the file, or its folder as far as the list does."""
     root = project_folder()
-    modules = (root / "src/repro_companion/papers").glob("*.py")
+    modules = [*(root / "src/repro_companion/papers").glob("*.py"), *(root / "data/others").glob("*/use.py")]
     texts = {text for module in modules if module.stem != "fetch" for text in texts_of(module)}
     unread = set()
     for paper, about in json.loads((root / "data/sources.json").read_text()).items():
