@@ -19,34 +19,35 @@ def of_robots() -> None:
     import repro
     from repro_companion.papers import baaij
 
-    _follow(repro.Sensing(baaij.robot(1)))
+    _follow(repro.Sensing(baaij.robot(1)), "descent", "least squares", "Kalman")
 
 
 def of_models() -> None:
-    """Compile the same for networks, and for robots with segments of other kinds."""
+    """Compile what pages use of networks, and of robots with segments of other kinds."""
     import repro
     from repro.networks import Network
     from repro_companion.papers import baaij
 
     robot = baaij.robot(1)
     layer = np.full((1, 1 + 4 * len(robot.magnets)), 0.1, np.float32), np.zeros(1, np.float32)
-    _follow(repro.Sensing(robot, Network([layer], "relu", "angles")))
-    _follow(repro.Sensing(robot.replaced(segments=[*robot.segments, repro.Link(0.01)])))
+    _follow(repro.Sensing(robot, Network([layer], "relu", "angles")), "descent", "least squares")
+    _follow(repro.Sensing(robot.replaced(segments=[*robot.segments, repro.Link(0.01)])), "least squares")
 
 
-def _follow(sensing: Any) -> None:
-    """Follow a robot of one segment by every method."""
+def _follow(sensing: Any, *names: str) -> None:
+    """Follow a robot of one segment by the methods named."""
     import repro
     from repro_companion.papers import baaij
 
     start, bounds = [0.0, 0.0, 0.003], baaij.bounds(1)
     readings = np.tile(sensing(start), (3, 1))
-    for method in (
-        baaij.descent(sensing, 1),
-        repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3),
-        repro.KalmanFilter(sensing, *bounds, 1e-3, np.full(3, 1e-3)),
-    ):
-        repro.track(method, readings, start, rate_hz=40.0)
+    methods = {
+        "descent": baaij.descent(sensing, 1),
+        "least squares": repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3),
+        "Kalman": repro.KalmanFilter(sensing, *bounds, 1e-3, np.full(3, 1e-3)),
+    }
+    for name in names:
+        repro.track(methods[name], readings, start, rate_hz=40.0)
 
 
 def of_filters() -> None:

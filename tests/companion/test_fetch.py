@@ -261,7 +261,7 @@ def texts_of(module: Path) -> set[str]:
 
 
 def test_every_listed_file_has_a_reader():
-    """It is a page of the book, and code of a paper or a robot names the file, or its folder as far as the list does."""
+    """It is a page of the book, and code of a paper or a robot names the file, or the folder that is listed."""
     root = project_folder()
     modules = [*(root / "src/repro_companion/papers").glob("*.py"), *(root / "data/others").glob("*/use.py")]
     texts = {text for module in modules if module.stem != "fetch" for text in texts_of(module)}
