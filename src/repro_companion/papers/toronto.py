@@ -587,8 +587,8 @@ def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:
     keys = ["ellipsoids", "estimator"]
     axes = bands.groupby(keys, sort=False)[["shortest_mm", "longest_mm"]].median()
     covered = bands.pivot_table("covered_percent", keys, "trial", sort=False)
-    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, name)} [%]")
+    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, name).split(',')[0]} [%]")
     heads = {"shortest_mm": "shortest [mm]", "longest_mm": "longest [mm]"}
     table = covered.join(axes.rename(columns=heads)).reset_index()
-    table.insert(0, "of the", table.pop("estimator") + ", " + table.pop("ellipsoids"))
+    table["ellipsoids"] = table.pop("estimator") + ", " + table["ellipsoids"]
     return table
