@@ -779,8 +779,8 @@ AGREEMENT = """
 that we find with the other repetitions as calibration have an error of {{ all.error_deg | two }}°. With a *c* for
 each direction it is {{ least | two }}° to {{ most | two }}°, which helps little, so we keep one *c*.
 {% if suspect is not none %}
-The {{ suspect.files | fixed(0) }} files of 90° in direction 0° alone would give a *c* of {{ suspect.gain | two }}. They read
-like much smaller bends, and we do not know why. We leave them out.
+The {{ suspect.files | fixed(0) }} files of 90° in direction 0° alone would give a *c* of {{ suspect.gain | two }}.
+They read like much smaller bends, and we do not know why. We leave them out.
 {% endif %}
 """
 

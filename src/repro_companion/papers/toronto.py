@@ -587,7 +587,7 @@ def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:
     keys = ["ellipsoids", "estimator"]
     axes = bands.groupby(keys, sort=False)[["shortest_mm", "longest_mm"]].median()
     covered = bands.pivot_table("covered_percent", keys, "trial", sort=False)
-    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, name).split(',')[0]} [%]")
+    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, str(name)).split(',')[0]} [%]")
     heads = {"shortest_mm": "shortest [mm]", "longest_mm": "longest [mm]"}
     table = covered.join(axes.rename(columns=heads)).reset_index()
     table["ellipsoids"] = table.pop("estimator") + ", " + table["ellipsoids"]
