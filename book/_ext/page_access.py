@@ -8,7 +8,7 @@ import re
 def accessible(text: str) -> str:
     """Return the HTML of a page with the names and tab stops that theme and extensions leave out."""
     named = named_by_their_text(named_summaries(one_name_for_search(text)))
-    return whole_options(with_headings(figures_in_full(named)))
+    return formulas_with_their_stops(whole_options(with_headings(figures_in_full(named))))
 
 
 def one_name_for_search(text: str) -> str:
@@ -27,6 +27,15 @@ def named_summaries(text: str) -> str:
 def named_by_their_text(text: str) -> str:
     """Let what unfolds a cell be named by what is written on it: Show code cell source."""
     return text.replace('<summary aria-label="Toggle hidden content">', "<summary>")
+
+
+def formulas_with_their_stops(text: str) -> str:
+    """Keep a formula and the comma or stop after it on one line: browsers may break between them."""
+    return re.sub(
+        r'(?<!<span class="together">)(<span class="math[^>]*>[^<]*</span>[,.;:?!)]+)',
+        r'<span class="together">\1</span>',
+        text,
+    )
 
 
 def figures_in_full(text: str) -> str:

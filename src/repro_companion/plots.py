@@ -1305,7 +1305,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     looks = {method: look for method, look in SEGMENT_LOOKS.items() if method in set(means["method"])}
     for k, (method, (colour, marker)) in enumerate(looks.items()):
         for calibrated, part in means[means["method"] == method].groupby("calibrated"):
-            at = np.arange(len(names)) + 0.16 * (k - 2) + (0.0 if calibrated else 0.05)
+            at = np.arange(len(names)) + 0.16 * (k - (len(looks) - 1) / 2) + (0.0 if calibrated else 0.05)
             part = part.set_index("trajectory").loc[names]
             ends = [part["tip_mm"] - part["low_mm"], part["high_mm"] - part["tip_mm"]]
             fill = {"mfc": colour if calibrated else "none", "label": method if calibrated else ""}
@@ -1313,7 +1313,7 @@ def segment_errors(means: pd.DataFrame) -> Figure:
                 at, part["tip_mm"], ends, fmt=marker, color=colour, ms=6, capsize=2, lw=1.0, **fill
             )
     panel.set(
-        xticks=range(len(names)), xticklabels=names,
+        xticks=range(len(names)), xticklabels=names, xlim=(-0.5, len(names) - 0.5),
         yscale="log", yticks=[0.1, 0.3, 1, 3, 10, 30, 100], ylabel="error at the tip [mm]",
     )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")

@@ -41,6 +41,15 @@ def test_names_and_tab_stops(extension):
     assert accessible(expected) == expected
 
 
+def test_no_line_breaks_between_a_formula_and_its_comma(extension):
+    """Once only, and not where a word follows."""
+    accessible = extension("page_access").accessible
+    formula = r'<span class="math notranslate nohighlight">\\(s\\)</span>'
+    kept = f'<span class="together">{formula},</span> the noise, and {formula} is small'
+    assert accessible(f"{formula}, the noise, and {formula} is small") == kept
+    assert accessible(kept) == kept
+
+
 def test_what_unfolds_a_cell_is_named_by_its_text(extension):
     folded = (
         '<details><summary aria-label="Toggle hidden content">\nShow code cell source</summary></details>'

@@ -381,7 +381,7 @@ def tables_in_words(files: pd.DataFrame) -> str:
             " IMU 1 are half a turn apart."
         )
     return (
-        f"We have tried {len(tried)} of the {len(files)} files. {within.sum()} of our tables agree with them to a"
+        f"We have tried {len(tried)} of the {len(files)} files. Of our tables, {within.sum()} agree with them to a"
         f" micrometre in every point, the {'others' if (~within).sum() > 1 else 'other one'} to"
         f" {number(tried['largest_um'].max(), 2)} µm."
     )

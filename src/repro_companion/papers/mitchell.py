@@ -766,7 +766,7 @@ def nominal_errors(
 
 NOMINAL_WORDS = """
 **On the takes, ratios calibrated at nominal bends have an error of {{ at_bends }}°, which is {{ "worse" if worse
-else "better" }} than without any calibration.** Without it the error is {{ none }}°, and with a calibration on
+else "better" }} than without any calibration.** Without it the error is {{ without }}°, and with a calibration on
 other tests {{ tests }}°. The files show a part of the reason. In them the ratio is {{ all.gain | two }} times as
 large as in the model, on the takes {{ low | two }} to {{ high | two }} times, so every bend comes out at about {{
 size | fixed(0) }} % of its size. At rest the ratio has a size of {{ all.rest | two }} there, and of about {{ rest |
@@ -779,8 +779,8 @@ AGREEMENT = """
 that we find with the other repetitions as calibration have an error of {{ all.error_deg | two }}°. With a *c* for
 each direction it is {{ least | two }}° to {{ most | two }}°, which helps little, so we keep one *c*.
 {% if suspect is not none %}
-The {{ suspect.files }} files of 90° in direction 0° alone would give a *c* of {{ suspect.gain | two }}. They read
-like much smaller bends, and we do not know why. We leave them out.
+The {{ suspect.files | fixed(0) }} files of 90° in direction 0° alone would give a *c* of {{ suspect.gain | two }}.
+They read like much smaller bends, and we do not know why. We leave them out.
 {% endif %}
 """
 
@@ -790,13 +790,13 @@ def nominal_in_words(nominal: pd.DataFrame, rmse_deg: pd.Series, takes: pd.DataF
     by = nominal.set_index("direction")
     one, turned = by.loc["all"], by.loc[by.index.str.fullmatch(r"\d+°"), "error_deg"]
     hows = ("nominal bends", "none", "other tests")
-    at_bends, none, tests = rmse_deg.reindex([METHODS["ours", how] for how in hows]).to_numpy(float)
+    at_bends, without, tests = rmse_deg.reindex([METHODS["ours", how] for how in hows]).to_numpy(float)
     if np.isnan(at_bends):
         return "The files at nominal bends are not here. The table has what this page found with them."
     low, middle, high = np.quantile(takes["gain"], [0, 0.5, 1])
-    errors = {"at_bends": number(at_bends, 2), "none": number(none, 2), "tests": number(tests, 2)}
+    errors = {"at_bends": number(at_bends, 2), "without": number(without, 2), "tests": number(tests, 2)}
     sizes = {"low": low, "high": high, "size": 100 * middle / one["gain"], "rest": takes["rest"].median()}
-    worth = sentences(NOMINAL_WORDS, worse=at_bends > none, all=one, **errors, **sizes)
+    worth = sentences(NOMINAL_WORDS, worse=at_bends > without, all=one, **errors, **sizes)
     suspect = by.loc["90° in direction 0°"] if "90° in direction 0°" in by.index else None
     return (
         f"{worth}\n\n{sentences(AGREEMENT, all=one, least=turned.min(), most=turned.max(), suspect=suspect)}"

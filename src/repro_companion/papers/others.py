@@ -116,7 +116,7 @@ def rows(of_robots: Mapping[str, Found]) -> pd.DataFrame:
         ]
         own = {key: about[key] for key in ("robot", "repository", "commit", "licence", "measured")}
         own |= {key: about[key].format_map(figures) for key in ("source", "ours", "monitor")}
-        own |= {"region": "; ".join(regions) or "not judged", "lines": written_lines(script(name))}
+        own |= {"region": "; ".join(regions) or "not evaluated", "lines": written_lines(script(name))}
         lines.append({"name": name} | own | {"computed": "here" if names else "before"})
     return pd.DataFrame(lines)
 

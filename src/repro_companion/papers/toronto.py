@@ -544,8 +544,9 @@ def compared_in_words(errors: pd.Series) -> str:
 
 
 COMPARED = """
-Errors of our smoother and of the sliding window of the authors: on raw readings {{ sizes[0] }} when the arm is hit
-and {{ sizes[1] }} when it is shaken, on calibrated readings {{ sizes[2] }} and {{ sizes[3] }}.
+When the arm is hit, our smoother and the sliding window of the authors have errors of {{ sizes[0] }} on raw readings,
+and of {{ sizes[2] }} on calibrated readings. When it is shaken, their errors are {{ sizes[1] }} on raw readings, and
+{{ sizes[3] }} on calibrated readings.
 """
 
 
@@ -586,6 +587,8 @@ def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:
     keys = ["ellipsoids", "estimator"]
     axes = bands.groupby(keys, sort=False)[["shortest_mm", "longest_mm"]].median()
     covered = bands.pivot_table("covered_percent", keys, "trial", sort=False)
-    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, name)} [%]")
+    covered = covered.rename(columns=lambda name: f"{WORDS.get(name, str(name)).split(',')[0]} [%]")
     heads = {"shortest_mm": "shortest [mm]", "longest_mm": "longest [mm]"}
-    return covered.join(axes.rename(columns=heads)).reset_index()
+    table = covered.join(axes.rename(columns=heads)).reset_index()
+    table["ellipsoids"] = table.pop("estimator") + ", " + table["ellipsoids"]
+    return table
