@@ -433,7 +433,7 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         tips = now.groupby("run")[XYZ].last()
         off = np.sqrt(((tips - tips.loc["truth"]) ** 2).sum(axis=1))
         bracket = f" ({off[beside]:.1f})" if beside else ""
-        words = f"{time_s:.1f} s: {off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
+        words = f"{time_s:.1f} s\n{off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
         figure.text(k % 3 * STILL_APART + 1 / 6, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
     both = {"truth": 1.0, "estimate": PALE}
     lines = [Line2D([], [], color=BODY[0], lw=4, alpha=alpha, label=name) for name, alpha in both.items()]

@@ -177,8 +177,8 @@ NOTICED = """
 With readings to spare, and with either estimator, there was an alarm in at least **{{ soon }} %** of the trials
 within a second after a reading was off by ten standard deviations, or within five seconds for the drift. The first
 part that the monitor named was the right one in at least **{{ first }} %** of the trials in which it named any. In
-{{ "all" if ended == "100" else "at least " ~ ended ~ " %" }} of the trials the alarm was over one second after the
-fault. In an hour without a fault, of each arm and estimator, there was
+{{ "all" if ended == "100" else "at least " ~ ended ~ " %" }} of the trials the alarm had ended one second after the
+fault had. In an hour without a fault, of each arm and estimator, there was
 {{ "an alarm in " ~ quiet ~ " readings" if quiet else "no alarm" }}.
 """
 
