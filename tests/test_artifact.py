@@ -55,6 +55,9 @@ def test_the_crate_lists_every_table_with_its_hash_its_notebook_and_inputs(built
     assert writers == {f"results/{table}": f"{what}.ipynb" for table, what in WRITERS.items()} | own
     named = [part for run in runs for part in [*run["object"], run["instrument"]]] + parts[1]["hasPart"]
     assert all(run["object"] for run in runs)
+    by_name = {part["@id"]: part for part in parts}
+    assert all(by_name[tool]["@type"] == ["File", "SoftwareSourceCode"] for tool in {*writers.values()})
+    assert all(by_name[tool]["name"] for tool in {*writers.values()})
     assert {part["@id"] for part in named} <= {part["@id"] for part in parts}
 
 
