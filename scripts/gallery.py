@@ -40,8 +40,8 @@ what you read. The errors are of synthetic readings. Magpylib computes the field
 we add the noise of the file and round to the step of the chip, and least squares tracks ten seconds of a
 smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 
-The table has the ± of the tip from the last line of `repro check`: the *median* of random shapes, the bound for all but
-the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
+The table has the ± of the tip from the last line of `repro check`: the *median* of random shapes, the bound for all
+but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
 
 {.as-cards}
 | robot | median [mm] | worst [mm] | blind [mm] | tracked [mm] |
