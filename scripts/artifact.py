@@ -169,7 +169,7 @@ def crate(root: Path) -> dict[str, Any]:
     parts = [{"@id": name} for name in [*files, "src/", "data/"]]
     whole = {key: about[key] for key in ("name", "description", "datePublished", "version")}
     return {
-        "@context": ["https://w3id.org/ro/crate/1.1/context", {"sha256": "https://schema.org/sha256"}],
+        "@context": ["https://w3id.org/ro/crate/1.1/context", {"sha256": "http://schema.org/sha256"}],
         "@graph": [
             {
                 "@id": CRATE,
@@ -198,10 +198,11 @@ def crate(root: Path) -> dict[str, Any]:
 
 
 def file_of(root: Path, name: str) -> dict[str, Any]:
-    """Return what the crate says of a file."""
+    """Return what the crate says of a file; what runs is source code as well, as RO-Crate 1.1 asks of scripts."""
     return {
         "@id": name,
-        "@type": "File",
+        "@type": ["File", "SoftwareSourceCode"] if name.endswith((".ipynb", ".py")) else "File",
+        "name": name,
         "encodingFormat": TYPES[Path(name).suffix],
         "contentSize": str((root / name).stat().st_size),
         "sha256": digest(root / name),

@@ -40,11 +40,11 @@ what you read. The errors are of synthetic readings. Magpylib computes the field
 we add the noise of the file and round to the step of the chip, and least squares tracks ten seconds of a
 smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 
-In the table the tip is known to so many millimetres, one standard deviation: in the *median* of random shapes, in all
+The table has the ± of the tip from the last line of `repro check`: the *median* of random shapes, the bound for all
 but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
 
 {.as-cards}
-| robot | median | worst | blind | tracked |
+| robot | median [mm] | worst [mm] | blind [mm] | tracked [mm] |
 |---|---|---|---|---|
 """
 
@@ -68,7 +68,7 @@ def tip_error(robot: Robot, seed: int = 0) -> float:
 def results(name: str) -> tuple[str, str]:
     """Return what a check says of a robot, and its row of the table [mm]."""
     robot = load_robot(FILES / f"{name}.toml")
-    said, _, sizes = robot.check(samples=100).verdict.partition(":")
+    said, _, sizes = robot.check().verdict.partition(":")
     numbers = [*re.findall(r"±([\d.]+) mm", sizes), f"{tip_error(robot):.2g}"]
     return f"{said}.", " | ".join([f"| {TITLES[name]}", *numbers]) + " |\n"
 

@@ -19,7 +19,6 @@ from magpylib.func import dipole_field
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from training import train_paper
 
 import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
@@ -209,6 +208,8 @@ def random_rig(seed: int) -> SimpleNamespace:
 
 def quick_sensing(train: rig.Recording, checkpoint: Any) -> Sensing:
     """Return networks of the paper's recipe with fewer epochs, of seed 0."""
+    from training import train_paper  # needs torch, and no other study does
+
     networks = []
     for j in range(rig.SENSORS):
         settings = {"epochs": EPOCHS, "swa_start": EPOCHS // 2, "progress": checkpoint.stem}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import shutil
 import zipfile
@@ -55,6 +56,9 @@ def test_the_crate_lists_every_table_with_its_hash_its_notebook_and_inputs(built
     assert writers == {f"results/{table}": f"{what}.ipynb" for table, what in WRITERS.items()} | own
     named = [part for run in runs for part in [*run["object"], run["instrument"]]] + parts[1]["hasPart"]
     assert all(run["object"] for run in runs)
+    by_name = {part["@id"]: part for part in parts}
+    assert all(by_name[tool]["@type"] == ["File", "SoftwareSourceCode"] for tool in {*writers.values()})
+    assert all(by_name[tool]["name"] for tool in {*writers.values()})
     assert {part["@id"] for part in named} <= {part["@id"] for part in parts}
 
 
@@ -69,6 +73,15 @@ def test_the_metadata_have_what_catalogues_require():
     assert all(found[key] for key in REQUIRED)
     assert (found["@type"], len(found["referencePublication"])) == ("SoftwareSourceCode", 3)
     assert "OWNER" not in json.dumps(found)
+
+
+def test_studies_start_where_make_book_has_installed_no_torch():
+    """What trains, or reads networks of TorchScript, imports it there."""
+    top = ast.parse((ROOT / "scripts/studies.py").read_text(encoding="utf-8")).body
+    names = {node.module for node in top if isinstance(node, ast.ImportFrom)}
+    names |= {name.name for node in top if isinstance(node, ast.Import) for name in node.names}
+    assert "numpy" in names
+    assert not names & {"torch", "training", "training_sets"}
 
 
 @pytest.mark.slow

@@ -156,7 +156,7 @@ def ports() -> str:
 BY_BOUNDS = 0.9 / math.sqrt(12)
 """Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
 _DAMAGED = ("checksum_errors", "malformed", "oversized")
-BOOT_TEXT = "It is text, but not of the form that is expected: a board may say so that it has started."
+BOOT_TEXT = "It is text, but not of the expected form. Many boards print such lines when they start."
 _ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
 
 

@@ -87,6 +87,8 @@ def build_page(root: Path, name: str) -> str:
     contents.write_text(
         f"format: jb-book\nroot: notebooks/{name}\nchapters:\n- file: bibliography\n", encoding="utf-8"
     )
+    # The page shows what its paper claims beside the numbers of this run.
+    write_pages(root, *write_scorecard(root, results_folder(root))[1:])
     site = root / "book" / "_build" / "page"
     seconds = build_site(root, site, "--toc", str(contents))
     page = site / "notebooks" / f"{name}.html"

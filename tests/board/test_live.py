@@ -268,7 +268,7 @@ CASES = {
     ),
     "what a board says when it starts": (
         lambda: session_of([b"rst:0x1 (POWERON_RESET),boot:0x13"], format="frames", since_s=2),
-        "Bytes arrive, but no readings. It is text, but not of the form that is expected",
+        "Bytes arrive, but no readings. It is text, but not of the expected form",
     ),
     "text on a port of frames": (
         lambda: session_of(text(20), format="frames", since_s=2),

@@ -87,10 +87,15 @@ def test_a_book_from_nothing_and_a_page_that_breaks(root):
 
 @pytest.mark.slow
 def test_a_page_alone(root):
+    head = "paper,section,page,headline,claim,found,why\n"
+    (root / "data/published/claims.csv").write_text(
+        f"{head}a2020,Abstract,notebooks/a,,Errors are small,Yes,luck\n"
+    )
     done = build("a")
     assert done.returncode == 0, done.stderr
     place = done.stdout.splitlines()[-1].partition("  (")[0]
     assert "Sample" in Path(place).read_text()
+    assert "Errors are small" in (root / "book/generated/claims_a.md").read_text()
     assert not (root / "book/_build/html").exists()
     assert build("none").returncode == 2
 

@@ -28,7 +28,7 @@ def test_every_file_is_on_the_page():
 @pytest.mark.parametrize("name", gallery.TITLES)
 def test_a_robot_can_work_and_its_numbers_are_those_of_the_page(name):
     robot, section = load_robot(gallery.FILES / f"{name}.toml"), SECTIONS[name]
-    check = robot.check(samples=100)
+    check = robot.check()
     assert check.can_work
     assert not check.saturated
     assert not any("so close to a magnet" in note for note in check.notes)

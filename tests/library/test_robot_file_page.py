@@ -74,6 +74,11 @@ def test_examples_load_and_can_work(number, tmp_path):
     assert robot.rate_hz == tomllib.loads(EXAMPLES[number])["stream"]["rate_hz"]
 
 
+def test_the_report_of_the_page_is_what_its_example_gets(tmp_path):
+    (report,) = re.findall(r"^```text\n(Tip in .*?)\n```", PAGE, re.DOTALL | re.MULTILINE)
+    assert report == str(loaded(tmp_path, EXAMPLES[0]).check())
+
+
 def test_the_message_of_the_page_is_what_a_mistake_gets(tmp_path):
     (message,) = re.findall(r"^```text\n(Input .*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     with pytest.raises(InputError) as error:
