@@ -31,7 +31,7 @@ from repro.chain import point_on
 from repro.estimators.calibration import _model_error, outside
 from repro.tolerances import Tolerances, placed, priors_of, slopes_of
 
-from .robots import RELEASED, STORED, bounds, paper_robot
+from .robots import RELEASED, bounds, paper_robot
 
 EARTH = [0.03, 0.01, -0.04]
 STATED = Tolerances(sensor_offset=0.1, earth=0.05)
@@ -137,19 +137,6 @@ def test_a_chip_turns_about_its_own_axes_and_about_the_backbone():
         new = placed(robot, {f"sensor 1 {name}": 0.1}).sensors[0].place
         np.testing.assert_allclose(new.rotation, expected, atol=1e-14, err_msg=name)
     np.testing.assert_allclose(new.position, turn @ old.position, atol=1e-17)
-
-
-def test_parameters_and_deviations_are_those_of_the_first_edition():
-    robot, rng = paper_robot(2, tilt=0.1), np.random.default_rng(0)
-    truth = placed(robot.replaced(earth=EARTH), off(robot, rng)).sensing()
-    q, S = 0.006 * rng.normal(size=(60, 6)), 1e-8 * np.eye(6)
-    u = truth(q) + 1e-3 * rng.normal(size=(60, 6))
-    found = calibrate(robot, q, u, 1e-3, S, earth=EARTH)
-    estimate, deviation = STORED["calibration_estimate"], STORED["calibration_deviation"]
-    np.testing.assert_allclose((found.estimate - estimate) / deviation, 0.0, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(found.deviation, deviation, rtol=1e-6)
-    assert found.chi2 == pytest.approx(float(STORED["calibration_chi2"]), rel=1e-6)
-    assert list(found.names) == STORED["calibration_names"].tolist()
 
 
 def test_a_robot_that_is_off_is_found_within_its_deviations():
