@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -11,6 +13,18 @@ from playwright.sync_api import Error as PlaywrightError
 
 NO_GPU = "GPU stall due to ReadPixels"
 """What Chromium says of every 3-D view when there is no GPU; a page cannot prevent it."""
+
+
+@contextmanager
+def window(browser, width: int, scheme: str) -> Iterator[tuple]:
+    """Open an empty page in a window of its own; yield it with a list of all addresses that it asks for."""
+    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page, asked, failed = context.new_page(), [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("pageerror", lambda error: failed.append(error))
+    yield page, asked
+    context.close()
+    assert not failed
 
 
 def wait_until(page, condition: str) -> None:
@@ -36,3 +50,9 @@ def pixels(element) -> np.ndarray:
 def differing(one: np.ndarray, other: np.ndarray) -> int:
     """Return how many pixels differ visibly."""
     return int((np.abs(one - other).max(-1) > 40).sum())
+
+
+def red(element) -> int:
+    """Return how many pixels of an element are red, as a sensor that is suspected is drawn."""
+    picture = pixels(element)
+    return int(((picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))).sum())

@@ -25,7 +25,7 @@ from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
 from repro_board.record import Recording, read_recording
-from repro_board.wire import encode, text_line
+from repro_board.wire import FORMATS, encode, text_line
 
 SPEED = 0.5
 """Largest speed of every coordinate [widths of its bounds per second]."""
@@ -43,7 +43,6 @@ _MOST_HZ = 1e5
 """Readings per second, beyond what any line carries."""
 _CARRIED = {"hall": (-8192.0, 8191.0, 0), "millivolts": (0.0, 2048.0, 4)}
 """What lines of a converter carry: from, to, decimals."""
-_FORMATS = ("csv", "frames", "hall", "millivolts", "quaternions")
 FAULTS = ("missing", "unplugged", "stuck", "saturated", "scaled", "drifting", "spike", "frozen")
 CHANCES = ("flips", "drops", "duplicates", "bursts", "stalls", "disconnects", "reboots")
 """Faults whose value is a chance."""
@@ -352,7 +351,7 @@ def _recorded(recording: Recording, loop: bool) -> Iterator[tuple[float, int, Ar
 def _format(robot: Robot) -> str:
     """Return what the board of a robot sends: as its file says, else what carries its readings."""
     streams = any(not isinstance(imu.channels, list | tuple) for imu in robot.imus)
-    fits = ("frames", *(["quaternions"] * (not robot.sensors))) if streams else _FORMATS
+    fits = ("frames", *(["quaternions"] * (not robot.sensors))) if streams else FORMATS
     if robot.source is None:
         return "frames"
     form = robot.source.stream["format"] or ("csv" if not streams else fits[-1])

@@ -65,10 +65,10 @@ def csv(frame: pd.DataFrame) -> str:
     return frame.to_csv(index=False, lineterminator="\n", float_format="%.7g")
 
 
-def some(words: Sequence[object], most: int = 5) -> str:
-    """Return the first of some words, and how many more there are."""
-    rest = f" and {len(words) - most} more" if len(words) > most else ""
-    return ", ".join(map(str, words[:most])) + rest
+def some(words: Sequence[object]) -> str:
+    """Return the first five of some words, and how many more there are."""
+    rest = f" and {len(words) - 5} more" if len(words) > 5 else ""
+    return ", ".join(map(str, words[:5])) + rest
 
 
 def suspicions(shape: Trajectory) -> list[str]:

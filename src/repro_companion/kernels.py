@@ -9,56 +9,46 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
+
+from repro import BendSensor, KalmanFilter, LevenbergMarquardt, Link, Sensing, track
+from repro.estimators.rod import Rod, RodFilter, RodSensor
+from repro.networks import Network
+from repro_companion.papers import baaij, mitchell
 
 
 def of_robots() -> None:
     """Compile what arcs of constant curvature and multipoles need: descent, least squares and the Kalman filter."""
-    import repro
-    from repro_companion.papers import baaij
-
-    _follow(repro.Sensing(baaij.robot(1)), "descent", "least squares", "Kalman")
+    _follow(Sensing(baaij.robot(1)), "descent", "least squares", "Kalman")
 
 
 def of_models() -> None:
     """Compile what pages use of networks, and of robots with segments of other kinds."""
-    import repro
-    from repro.networks import Network
-    from repro_companion.papers import baaij
-
     robot = baaij.robot(1)
     layer = np.full((1, 1 + 4 * len(robot.magnets)), 0.1, np.float32), np.zeros(1, np.float32)
-    _follow(repro.Sensing(robot, Network([layer], "relu", "angles")), "descent", "least squares")
-    _follow(repro.Sensing(robot.replaced(segments=[*robot.segments, repro.Link(0.01)])), "least squares")
+    _follow(Sensing(robot, Network([layer], "relu", "angles")), "descent", "least squares")
+    _follow(Sensing(robot.replaced(segments=[*robot.segments, Link(0.01)])), "least squares")
 
 
-def _follow(sensing: Any, *names: str) -> None:
+def _follow(sensing: Sensing, *names: str) -> None:
     """Follow a robot of one segment by the methods named."""
-    import repro
-    from repro_companion.papers import baaij
-
     start, bounds = [0.0, 0.0, 0.003], baaij.bounds(1)
     readings = np.tile(sensing(start), (3, 1))
     methods = {
         "descent": baaij.descent(sensing, 1),
-        "least squares": repro.LevenbergMarquardt(sensing, *bounds, noise=1e-3),
-        "Kalman": repro.KalmanFilter(sensing, *bounds, 1e-3, np.full(3, 1e-3)),
+        "least squares": LevenbergMarquardt(sensing, *bounds, noise=1e-3),
+        "Kalman": KalmanFilter(sensing, *bounds, 1e-3, np.full(3, 1e-3)),
     }
     for name in names:
-        repro.track(methods[name], readings, start, rate_hz=40.0)
+        track(methods[name], readings, start, rate_hz=40.0)
 
 
 def of_filters() -> None:
     """Compile the rod, and the particle filter of a bend sensor."""
-    import repro
-    from repro.estimators.rod import Rod, RodFilter, RodSensor
-    from repro_companion.papers import mitchell
-
-    sensor = repro.BendSensor(mitchell.LENGTH, mitchell.CUBE)
+    sensor = BendSensor(mitchell.LENGTH, mitchell.CUBE)
     readings = sensor(np.zeros((3, 2)))
-    repro.track(mitchell.particle_filter(0.02, particles=10), readings, np.zeros(2), rate_hz=100.0)
+    track(mitchell.particle_filter(0.02, particles=10), readings, np.zeros(2), rate_hz=100.0)
     sensors = [RodSensor(kind, 1e-2, arc_m=0.5) for kind in ("pose", "orientation")]
     rod = RodFilter(Rod(1.0, bending=1, torsion=0), sensors, strain_std=10.0, rate=1.0, base_std=[0.01, 0.1])
     state = rod.init()

@@ -159,8 +159,7 @@ def _cell(row: pd.Series) -> dict[str, str]:
     for name in ("published", "regenerated"):
         mean, std = (pd.to_numeric(row[key]) * factor for key in (name, f"{name}_std"))
         places += name == "regenerated" and std < 0.5 / 10**places  # no deviation is shown as zero
-        spread = "" if pd.isna(std) else f"±{std:.{places}f}"
-        texts[name] = "–" if pd.isna(mean) else f"{mean:.{places}f}{spread}"
+        texts[name] = with_spread(mean, std, places, "±")
     kind = "weak" if row["weak"] == "true" and row["verdict"] in VERDICTS else row["verdict"]
     return texts | {"kind": kind, "title": VERDICTS.get(kind, kind)}
 
@@ -546,9 +545,9 @@ def table_2(printed: pd.DataFrame, lines: dict[str, pd.DataFrame], chaotic: set[
     return HTML(rendered("table_2.html", heads=heads, rows=rows, names=list(lines), chaotic=chaotic))
 
 
-def with_spread(mean: float, std: float, places: int) -> str:
+def with_spread(mean: float, std: float, places: int, between: str = " ± ") -> str:
     """Return a mean with its deviation, if there is one, to so many places; a dash where there is no mean."""
-    spread = f" ± {std:.{places}f}" if np.isfinite(std) else ""
+    spread = f"{between}{std:.{places}f}" if np.isfinite(std) else ""
     return f"{mean:.{places}f}{spread}" if np.isfinite(mean) else "–"
 
 

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
+from page_on_screen import red, window
 from rich.console import Console
 
 import repro
@@ -672,12 +672,7 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
     session.moment = session.moment._replace(
         made_s=time.monotonic() + 60, raw=raw_bytes
     )  # and it goes on like this
-    with PageServer(session) as server:
-        opened = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-        page = opened.new_page()
-        asked, failed = [], []
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("pageerror", lambda error: failed.append(error))
+    with PageServer(session) as server, window(browser, width, scheme) as (page, asked):
         page.goto(server.address)
         page.wait_for_selector("#numbers li")
         page.wait_for_selector("#alarms p")
@@ -685,12 +680,9 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.inner_text("#raw") == raw_bytes
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        canvas = page.locator("#shape canvas")
-        picture = np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")).astype(int)
-        red = (picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))
-        assert red.sum() > 50  # the sensor that is suspected
+        assert red(page.locator("#shape canvas")) > 50
         others = [stream(server) for _ in range(MOST_PAGES - 1)]
-        one_more = opened.new_page()
+        one_more = page.context.new_page()
         one_more.route("**/viewer.js", lambda route: route.abort())  # its pictures take long
         one_more.goto(f"http://127.0.0.1:{server.port}/")
         one_more.wait_for_selector("#status:text('Too many pages show this session.')")
@@ -700,9 +692,7 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         page.wait_for_selector(
             "#status:text('If it was started again, open the address that it prints now.')"
         )
-        opened.close()
     assert all(url.startswith(f"http://127.0.0.1:{server.port}/") for url in asked)
-    assert not failed
 
 
 def test_a_chip_too_near_a_magnet_is_left_out_and_said():

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pandas as pd
 import pytest
-from page_on_screen import differing, pixels, wait_until
+from page_on_screen import differing, pixels, red, wait_until, window
 
 import repro
 from repro import InputError
@@ -192,23 +192,20 @@ def test_what_cannot_be_shown_is_refused_and_leaves_nothing(folder, tmp_path):
 @pytest.fixture
 def opened(browser, page_file):
     """Return what opens the page from its file, wide or narrow, in light or dark."""
-    contexts, asked, failed = [], [], []
+    with ExitStack() as windows:
 
-    def open_page(width, scheme, script=""):
-        contexts.append(browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme))
-        page = contexts[-1].new_page()
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("pageerror", lambda error: failed.append(error))
-        page.add_init_script(script)
-        page.goto(page_file.as_uri())
-        page.wait_for_selector("#charts canvas")
-        return page
+        def open_page(width, scheme, script=""):
+            page, asked = windows.enter_context(window(browser, width, scheme))
+            page.add_init_script(script)
+            page.goto(page_file.as_uri())
+            page.wait_for_selector("#charts canvas")
+            windows.callback(lambda: all_of_the_file(asked))
+            return page
 
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert {url for url in asked if not url.startswith("data:")} == {page_file.as_uri()}
-    assert not failed
+        def all_of_the_file(asked):
+            assert {url for url in asked if not url.startswith("data:")} == {page_file.as_uri()}
+
+        yield open_page
 
 
 def left(element) -> float:
@@ -271,9 +268,7 @@ def test_notes_and_alarms_are_seen_and_lead_to_their_time(opened, page_file):
     begin, end, _, k = own["alarms"][-1]
     assert page.inner_text("#clock") == f"{begin:.2f} s"
     assert (own["said"][k]["level"], page.locator("#status").get_attribute("data-level")) == (1, "1")
-    picture = pixels(page.locator(".shape-view canvas"))
-    red = (picture[..., 0] > 90) & (picture[..., 0] > 2 * picture[..., 1:].max(-1))
-    assert red.sum() > 50  # the sensor that is suspected
+    assert red(page.locator(".shape-view canvas")) > 50
     box = page.locator("#charts canvas").first.bounding_box()
     at = lambda time: (time - own["from"]) / (own["to"] - own["from"]) * (box["width"] - 60) + 52  # noqa: E731
     image = pixels(page.locator("#charts canvas").first)

@@ -98,6 +98,12 @@ def test_what_a_frame_cannot_hold_is_refused(given_values, message):
     assert str(refused.value) == f"Input {message}"
 
 
+def in_pieces(parser, data, cuts):
+    """Return the samples of bytes that arrive cut in some places."""
+    edges = [0, *sorted(cut for cut in cuts if cut < len(data)), len(data)]
+    return [sample for a, b in itertools.pairwise(edges) for sample in parser.feed(data[a:b])]
+
+
 @given(st.binary(max_size=400), st.lists(st.integers(0, 500), max_size=10), st.sampled_from([None, "frames"]))
 def test_chunks_do_not_matter_and_every_byte_is_accounted_for(garbage, cuts, format):
     data = sent(3) + garbage + sent(3, 3) + garbage[::-1] + sent(2, 6)
@@ -106,9 +112,7 @@ def test_chunks_do_not_matter_and_every_byte_is_accounted_for(garbage, cuts, for
     for sample in expected:
         end = data.find(b"\0", sample.start)
         accepted += end - sample.start
-    edges = [0, *sorted(cut for cut in cuts if cut < len(data)), len(data)]
-    got = [sample for a, b in itertools.pairwise(edges) for sample in pieces.feed(data[a:b])]
-    assert repr(got) == repr(expected)
+    assert repr(in_pieces(pieces, data, cuts)) == repr(expected)
     assert pieces.counters == whole.counters
     whole.close()
     assert whole.counters["frames"] == len(expected)
@@ -641,9 +645,7 @@ def test_nothing_raises_and_no_number_is_invented(data, format):
 def test_chunks_of_text_do_not_matter(printed, cuts, format):
     data = b"\n" + "\n".join(printed).encode()
     whole, pieces = Parser(format), Parser(format)
-    edges = [0, *sorted(cut for cut in cuts if cut < len(data)), len(data)]
-    got = [sample for a, b in itertools.pairwise(edges) for sample in pieces.feed(data[a:b])]
-    assert repr(got) == repr(whole.feed(data))
+    assert repr(in_pieces(pieces, data, cuts)) == repr(whole.feed(data))
     assert (pieces.counters, pieces.remarks) == (whole.counters, whole.remarks)
 
 

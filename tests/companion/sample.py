@@ -27,6 +27,13 @@ Path(os.environ["REPRO_RESULTS"], "NAME.csv").write_text(f"seed,x\\n{seeds[0]},{
 print("what comes first")"""
 
 
+def in_project(folder: Path, monkeypatch: Any) -> Path:
+    """Make a folder the miniature project, and the current folder; recordings lie in it, too."""
+    monkeypatch.chdir(project(folder))
+    monkeypatch.setenv("REPRO_DATA_DIR", str(folder / "recordings"))
+    return folder
+
+
 def notebook(path: Path, table: str = "t", *cells: str) -> Path:
     """Write a notebook that writes one table."""
     v4 = nbformat.v4

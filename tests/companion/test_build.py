@@ -16,7 +16,7 @@ from repro_companion import run
 from repro_companion.scorecard import AUTHORS
 from repro_companion.show import KEY, ROW_COLUMNS
 
-from .sample import notebook, project
+from .sample import in_project, notebook
 
 CONFIG = """\
 title: Small
@@ -38,8 +38,7 @@ a2020,Table 1,one,e_u,mT,0.015,0.002
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a project with two notebooks and a site; it is the current folder."""
-    monkeypatch.chdir(project(tmp_path))
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
+    in_project(tmp_path, monkeypatch)
     monkeypatch.setenv("JOBS", "2")
     notebook(tmp_path / "notebooks/other.ipynb", "o")
     for name, text in {

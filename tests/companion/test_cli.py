@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from .sample import project
+from .sample import in_project
 
 BOOK = ["run", "sweep", "scorecard", "compare", "fetch"]
 
@@ -20,9 +20,7 @@ def repro(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(autouse=True)
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(project(tmp_path))
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
-    return tmp_path
+    return in_project(tmp_path, monkeypatch)
 
 
 def test_starting_imports_neither_jupyter_nor_torch():

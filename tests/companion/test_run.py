@@ -16,14 +16,12 @@ from repro.common import InputError
 from repro_companion import run as tool
 from repro_companion.run import Parameter
 
-from .sample import notebook, project
+from .sample import in_project, notebook
 
 
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(project(tmp_path))
-    monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path / "recordings"))
-    return tmp_path
+    return in_project(tmp_path, monkeypatch)
 
 
 def refused(parameter: Parameter, text: str) -> str:

@@ -1,4 +1,4 @@
-"""The Kalman filter and the smoother: against exact filters, stored answers and closed forms; and drift."""
+"""The Kalman filter and the smoother: against exact filters and closed forms; and drift."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from repro import (
 from repro.estimators.drift import DriftModel
 from repro.estimators.kalman import _predict, _update, smoothed
 
-from .robots import RELEASED, STORED, bounds, paper_robot
+from .robots import RELEASED, bounds, paper_robot
 from .test_least_squares import lemniscate
 
 H = np.array([[1.0, 0.5], [0.2, -1.0], [0.3, 0.3]])
@@ -124,20 +124,6 @@ def test_with_a_flat_prior_it_is_least_squares():
     _, two = least.step(least.init([0.0, 0.0]), u[0])
     np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(one.covariance, two.covariance, rtol=0, atol=1e-9)
-
-
-def test_filter_and_smoother_of_magnets_answer_as_the_first_edition_did():
-    q, low, high = lemniscate(2, 40), bounds(2)[0] - 0.005, bounds(2)[1] + 0.005
-    u = simulated_readings(paper_robot(2), q) + 1e-3 * np.random.default_rng(0).normal(size=(40, 6))
-    fast = np.full(6, 0.5), np.full(6, 0.1)
-    method = KalmanFilter(Sensing(paper_robot(2)), low, high, 1e-3, *fast, tolerance=1e-12)
-    start = q[0]
-    mine = track(method, u, start, rate_hz=40.0)
-    assert not mine.details["at_bound"].any()
-    np.testing.assert_allclose(mine.q, STORED["kalman_q"], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(mine.chi2, STORED["kalman_chi2"], rtol=1e-6, atol=1e-8)
-    back = smooth(method, u, start, rate_hz=40.0)
-    np.testing.assert_allclose(back.q, STORED["smoother_q"], rtol=0, atol=1e-8)
 
 
 @numba.njit

@@ -29,8 +29,8 @@ from repro import (
 )
 from repro.networks import load_network
 
-from .robots import RELEASED, STORED, bounds, paper_robot
-from .test_sensing import NETWORKS, paper_networks
+from .robots import RELEASED, bounds, paper_robot
+from .test_sensing import NETWORKS
 
 
 def lemniscate(n_b, n):
@@ -41,46 +41,6 @@ def lemniscate(n_b, n):
         rows += [0.01728 * np.sin(4 * np.pi * s + p), 0.01728 * np.sin(2 * np.pi * s + p)]
         rows.append(0.00275 * (1 + np.sin(2 * np.pi * s + p)))
     return np.stack(rows, axis=-1)
-
-
-@pytest.mark.parametrize("n_b", [1, 2, 3])
-def test_shapes_and_covariances_are_those_of_the_first_edition(n_b):
-    q = lemniscate(n_b, 60)
-    sensing = Sensing(paper_robot(n_b))
-    u = simulated_readings(sensing.robot, q) + 1e-3 * np.random.default_rng(0).normal(size=(60, 3 * n_b))
-    u[3, 0] = np.nan
-    low, high = bounds(n_b)
-    method = LevenbergMarquardt(sensing, low, high, noise=1e-3, tolerance=1e-12)
-    start = np.clip(q + 1e-3, low, high)
-    _, mine = method.step(method.init(start), u)
-    inside = ~mine.details["at_bound"].any(-1)
-    inside[3] = False  # it has fewer readings than unknowns
-    q, covariance, chi2, dof = (
-        STORED[f"least_squares_{n_b}_{name}"][inside] for name in ("q", "covariance", "chi2", "dof")
-    )
-    np.testing.assert_allclose(mine.q[inside], q, rtol=0, atol=1e-10)
-    # The first edition did without what the bounds say.
-    covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(12 / (high - low) ** 2))
-    difference = (mine.covariance[inside] - covariance) / np.abs(covariance).max((1, 2), keepdims=True)
-    assert np.abs(difference).max() < 1e-6
-    np.testing.assert_allclose(mine.chi2[inside], chi2, rtol=1e-8, atol=1e-9)
-    np.testing.assert_array_equal(mine.dof[inside], dof)
-
-
-@pytest.mark.parametrize("network", [False, True])
-@pytest.mark.slow
-def test_the_descent_agrees_with_the_first_edition_to_rounding_where_it_is_stable(network):
-    q = lemniscate(2, 12)
-    files = sorted(NETWORKS.glob("*nb2*seed0*.safetensors"))[:2]
-    robot = paper_robot(2)
-    u, gamma = simulated_readings(robot, q), np.tile([3e-3, 3e-3, 3e-4], 2)
-    if network:
-        sensing, tolerance = Sensing(robot, paper_networks(files, double=True)[1]), 1e-12
-    else:
-        sensing, tolerance = Sensing(robot), 1e-13
-    found = track(GradientDescent(sensing, gamma), u, q[0])
-    expected = STORED["descent_network" if network else "descent_multipoles"]
-    np.testing.assert_allclose(found.q, expected, rtol=0, atol=tolerance)
 
 
 def test_the_descent_on_a_parabola_is_its_recurrence():

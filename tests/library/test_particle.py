@@ -14,8 +14,6 @@ from repro import ConstantCurvature, Cube, InputError, Magnet, Robot, Sensor, si
 from repro.estimators.particle import BendDisc, Box, ParticleFilter, _best_tenth, _drawn, _points
 from repro.sensing import BendSensor
 
-from .robots import STORED
-
 DISC = BendDisc(math.pi / 2)
 B444B = Cube(6.35e-3, 1320.0)
 
@@ -70,24 +68,6 @@ def test_filter_agrees_with_the_exact_posterior_on_a_grid(resampling):
         assert (np.abs(found.q - mean) < 0.04 * spread).all()
         assert (np.abs(found.covariance - C) < 0.04 * np.outer(spread, spread)).all()
         p = np.where(inside, fftconvolve(p / stay, move, mode="same").clip(0), 0.0)
-
-
-def flower(steps: int) -> np.ndarray:
-    t = 0.01 * np.arange(100, 100 + steps)
-    return np.stack([np.sin(t) * np.cos((0.1 * t) ** 2), np.sin(t) * np.sin((0.1 * t) ** 2)], axis=-1)
-
-
-def test_errors_in_the_setting_of_the_paper_are_those_of_the_first_edition():
-    sensor, q, sigma = BendSensor(0.015), flower(150), 0.01 / math.sqrt(2)
-    u, q0, walk, names = sensor(q), q[0], np.full(2, 0.02 * math.pi), ("best tenth", "multinomial")
-    new = ParticleFilter(sensor, walk, sigma, DISC, estimate=names[0], resampling=names[1])
-    errors = np.stack([np.zeros(6), STORED["particle_errors"]])
-    for seed in range(6):
-        off = sensor.position(track(new, u, q0, rate_hz=100, seed=seed).q) - sensor.position(q)
-        errors[0, seed] = 1e3 * np.sqrt((off**2).sum(-1).mean())
-    difference = errors.mean(1) @ [1, -1]
-    assert abs(difference) < 3 * math.sqrt((errors.var(1, ddof=1) / 6).sum())
-    assert 0.01 < errors.mean() < 0.03  # mm, by the facts of the paper
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30), st.integers(0, 1000))
@@ -159,25 +139,6 @@ def test_constant_velocity_follows_a_ramp_without_lag():
         lag[motion] = float((q - track(method, q, q[0], rate_hz=1).q)[20:].mean())
     assert lag["random walk"] > 0.05
     assert abs(lag["constant velocity"]) < 0.005
-
-
-def test_a_state_gives_the_same_bits_twice_and_members_what_they_give_alone():
-    sensor, region = BendSensor(0.015), BendDisc(0.5)
-    method = ParticleFilter(sensor, [0.1, 0.1], 0.1, region, particles=200, motion="constant velocity")
-    q0 = np.array([[0.1, 0.2], [-0.45, 0.1], [0.0, 0.0]])
-    state, alone = method.init(q0, seed=7), method.init(q0[1], seed=7)
-    for k in range(3):
-        before = state.q.copy()
-        u = sensor(q0 + 0.01 * k)
-        following, found = method.step(state, u)
-        again, _ = method.step(state, u)
-        np.testing.assert_array_equal(following.q, again.q)
-        np.testing.assert_array_equal(state.q, before)
-        alone, single = method.step(alone, u[1])
-        np.testing.assert_array_equal(alone.q, following.q[1])
-        np.testing.assert_allclose(single.q, found.q[1], rtol=1e-12)
-        state = following
-    assert not np.array_equal(method.init(q0, seed=8).q, method.init(q0, seed=7).q)
 
 
 def test_missing_readings_and_known_coordinates():

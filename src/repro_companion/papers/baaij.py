@@ -54,13 +54,12 @@ def robot(
     *,
     tilt: float = 0.0,
     radial: float = SENSOR_RADIAL,
-    azimuth: float = 0.0,
     ring: str = "released",
 ) -> Robot:
     """Return the robot of section 3.1: a ring in the middle of each segment, sensors around its tip [m, rad]."""
     magnets = [Magnet(RINGS[ring], segment, MAGNET_AT) for segment in range(1, n_segments + 1)]
     sensors = [
-        Sensor(segment, LENGTH, radial, azimuth + 2 * math.pi * j / sensors_per_segment, tilt)
+        Sensor(segment, LENGTH, radial, 2 * math.pi * j / sensors_per_segment, tilt)
         for segment in range(1, n_segments + 1)
         for j in range(sensors_per_segment)
     ]
@@ -185,9 +184,9 @@ ROWS = (
 """The 13 rows of Table 1 in their order; two print a run again. All move along T3."""
 
 
-def rows_named(names: Sequence[str] = (), *, repeated: bool = False) -> list[Row]:
-    """Return the rows of these names, all when there is none; rows that print a run again only if ``repeated``."""
-    known = [row for row in ROWS if repeated or not row.same_as]
+def rows_named(names: Sequence[str] = ()) -> list[Row]:
+    """Return the rows of these names, all when there is none; without those that print a run again."""
+    known = [row for row in ROWS if not row.same_as]
     there = [row.name for row in known]
     if wrong := [name for name in names if name not in there]:
         raise ValueError(f"Table 1 has no row {', '.join(wrong)}; it has {', '.join(there)}.")
@@ -410,12 +409,11 @@ def planar(n_segments: int, bend_deg: float) -> np.ndarray:
     return np.array([x for i in range(n_segments) for x in ((-1) ** i * bend, 0.0, ELONGATION)])
 
 
-def backbone_points(robot: Robot, q: np.ndarray, points: int = 25) -> pd.DataFrame:
-    """Return points on the backbone of one shape [mm], with the segment of each."""
-    xyz = 1e3 * robot.backbone(q, points)
-    table = pd.DataFrame(xyz, columns=["x_mm", "y_mm", "z_mm"])
-    table.insert(0, "segment", np.repeat(np.arange(len(robot.segments)) + 1, points))
-    return table
+def backbone_points(robot: Robot, q: np.ndarray) -> pd.DataFrame:
+    """Return 25 points on each segment of one shape [mm], with the segment of each."""
+    xyz = pd.DataFrame(1e3 * robot.backbone(q, 25), columns=["x_mm", "y_mm", "z_mm"])
+    xyz.insert(0, "segment", np.repeat(np.arange(len(robot.segments)) + 1, 25))
+    return xyz
 
 
 def parts(robot: Robot, q: np.ndarray) -> pd.DataFrame:

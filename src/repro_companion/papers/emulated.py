@@ -9,9 +9,9 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from repro import Robot
-from repro.chain import point_on
 from repro.estimators.track import Trajectory
 from repro_board.emulate import course
+from repro_companion.papers.baaij import tips
 from repro_companion.show import sentences
 
 # A robot of one's own
@@ -25,8 +25,7 @@ CAPTURE_MM, CAPTURE_RAD = 0.1, 1e-3
 def captured(robot: Robot, seconds: float, seed: int) -> pd.DataFrame:
     """Return what motion capture would record of a body on the end of each segment."""
     rng, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / CAPTURE_HZ)
-    ends = [point_on(k, segment.length) for k, segment in enumerate(robot.segments, 1)]
-    poses = np.moveaxis(robot.poses(course(robot, t, seed=seed), ends), 1, 0)
+    poses = np.moveaxis(robot.poses(course(robot, t, seed=seed), tips(robot)), 1, 0)
     columns = {"time_s": t + CAPTURE_LATE_S}
     for k, T in enumerate(poses, 1):
         p = 1e3 * T[:, :3, 3] + CAPTURE_MM * rng.standard_normal((len(t), 3))

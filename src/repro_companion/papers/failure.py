@@ -143,14 +143,18 @@ def alarms(study: pd.DataFrame) -> pd.DataFrame:
     return table.assign(alarms_before=study["alarms_before"].astype(int))
 
 
-FAULTS = {name: name for name in ("no reading", "unplugged", "stuck", "saturated")}
-FAULTS |= {
+FAULTS = {
+    "no reading": "no reading",
+    "unplugged": "unplugged",
+    "stuck": "stuck",
+    "saturated": "saturated",
     "gain +5 %": "wrong gain",
     "offset 50 uT": "offset",
     "drift 2 uT/s": "drift",
     "glitches": "glitches",
+    "clipped": "clipped",
+    "magnet near": "magnet nearby",
 }
-FAULTS |= {"clipped": "clipped", "magnet near": "magnet nearby"}
 """Faults of the study that a page shows, and what it calls them."""
 SEEN = {
     ("8 sensors", "no monitor: tip off"): ("off_without_percent", "two_segments"),

@@ -840,11 +840,10 @@ def scorecard_rows(table: pd.DataFrame, data: Data, seconds: float, ranges: pd.D
         f"here the first {seconds:g} s of each test part",
     ]
     lines = lines.assign(paper="baaij2023", setting="; ".join(setting), comparable=data.source == "recorded")
-    wide = ranges[ranges["chaotic"] & (ranges["step"] == "published")]
     spans = {
         (line.row, line.quantity): f"; decided by rounding: {STARTS} other starts give"
         f" {line.lowest:.3g} to {line.highest:.3g} mm"
-        for line in wide.itertuples()
+        for line in _decided_by_rounding(ranges).itertuples()
     }
     keys, note = zip(lines["row"], lines["quantity"], strict=True), NOTES.get(data.source, "")
     lines["note"] = [note + spans.get(key, "") for key in keys]
@@ -969,8 +968,11 @@ def about(data: Data, seconds: float) -> str:
 
 def decided_by_rounding(ranges: pd.DataFrame) -> set[tuple[str, str]]:
     """Return the rows and quantities that rounding decides at the published step."""
-    cells = ranges[ranges["chaotic"] & (ranges["step"] == "published")]
-    return set(zip(cells["row"], cells["quantity"], strict=True))
+    return {(line.row, line.quantity) for line in _decided_by_rounding(ranges).itertuples()}
+
+
+def _decided_by_rounding(ranges: pd.DataFrame) -> pd.DataFrame:
+    return ranges[ranges["chaotic"] & (ranges["step"] == "published")]
 
 
 METHODS = {

@@ -464,9 +464,9 @@ def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"tip_mm": wide.mean(axis=1), "low_mm": low, "high_mm": high}).reset_index()
 
 
-def ratios(table: pd.DataFrame, over: str = "2 IMUs") -> pd.DataFrame:
-    """Return how many times the tip error of one method the calibrated others have; paired over the robots."""
-    healthy = table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
+def ratios(table: pd.DataFrame) -> pd.DataFrame:
+    """Return how many times the tip error of the IMUs the other methods have, calibrated; paired over the robots."""
+    over, healthy = "2 IMUs", table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
     wide = healthy.pivot_table(index=KEYS[:2], columns="draw", values="tip_mm", sort=False)
     below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
     low, high = ratio_interval(wide.to_numpy().T, below.to_numpy().T, RESAMPLES)

@@ -341,10 +341,10 @@ def coverage(found: dict[str, list[tuple[np.ndarray, np.ndarray]]], level: float
 # Models of the shape, fitted to the motion capture itself
 
 
-def body_poses(name: str, whole: bool = False) -> np.ndarray:
+def body_poses(name: str) -> np.ndarray:
     """Return poses ``[frames, 5, 4, 4]`` of all bodies in the frame of the first, where all were seen at one time."""
     folder, window = trials()[name]
-    seen = [read(folder, body, None if whole else window) for body in BODIES]
+    seen = [read(folder, body, window) for body in BODIES]
     common = reduce(np.intersect1d, [t for t, _ in seen])
     T = np.stack([poses(x[np.searchsorted(t, common)]) for t, x in seen], axis=1)
     return np.linalg.inv(T[:, :1]) @ T

@@ -113,16 +113,16 @@ def drift(steps: int, generator: np.random.Generator) -> np.ndarray:
 SWAYING = Drift("tilt", SWAY, SWAY * math.sqrt(2 / SWAY_S), time_s=SWAY_S)
 
 
-def drifts(believed: float = 1.0) -> list[Drift]:
-    """Return what the filter believes to wander: by the true sizes, or so many times them."""
-    walk = believed / math.sqrt(SIZE_S)
+def drifts() -> list[Drift]:
+    """Return what the filter believes to wander: by the true sizes."""
+    walk = 1 / math.sqrt(SIZE_S)
     return [
         Drift("moment", 0.0, 3 * walk * abs(WARMING), shared=True),  # a walk lags behind what goes one way
         Drift("gain", 0.0, walk * GAIN),
         Drift("offset", 0.0, walk * OFFSET),
         Drift("heading", 0.0, walk * HEADING),
         # An error that fades in T, less what it was at the start, has the variance of one that fades in 2 T.
-        Drift("tilt", 0.0, believed * TILT * math.sqrt(2 / TILT_S), time_s=2 * TILT_S),
+        Drift("tilt", 0.0, TILT * math.sqrt(2 / TILT_S), time_s=2 * TILT_S),
         SWAYING,
     ]
 
