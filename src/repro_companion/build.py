@@ -25,7 +25,6 @@ from types import CodeType
 import pandas as pd
 
 from repro_companion import run as tool
-from repro_companion.kernels import compile_kernels
 from repro_companion.run import InputError, Parameter, Point, Record, RunFailed
 from repro_companion.scorecard import beside, scorecard, write
 from repro_companion.scorecard_page import write_pages
@@ -115,7 +114,8 @@ def page_point(root: Path, notebook: Path, inputs: str) -> Point:
 def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
     """Run pages, several at once; return why some failed. One that shows a warning fails, and runs again."""
     if points:
-        compile_kernels()
+        # In a process of its own: who only asks whether the book is up to date need not wait for its imports.
+        subprocess.run([sys.executable, "-m", "repro_companion.kernels"], check=False)
 
     def one(point: Point) -> str:
         name = point.notebook.stem

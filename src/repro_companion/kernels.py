@@ -59,20 +59,14 @@ def of_filters() -> None:
 PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "models": of_models, "filters": of_filters}
 
 
-def compile_kernels() -> None:
-    """Compile all parts, each in a process of its own."""
-    command = [sys.executable, "-m", "repro_companion.kernels"]
-    running = [subprocess.Popen([*command, name], stderr=subprocess.DEVNULL) for name in PARTS]
-    if sum(process.wait() for process in running):
-        print("Kernels could not be compiled ahead, so each process compiles its own.", file=sys.stderr)
-
-
 def main(names: Sequence[str]) -> int:
-    """Compile the parts named, or all."""
+    """Compile the parts named; or all, each in a process of its own."""
     for name in names:
         PARTS[name]()
-    if not names:
-        compile_kernels()
+    command = [sys.executable, "-m", "repro_companion.kernels"]
+    running = [subprocess.Popen([*command, name], stderr=subprocess.DEVNULL) for name in PARTS if not names]
+    if sum(process.wait() for process in running):
+        print("Kernels could not be compiled ahead, so each process compiles its own.", file=sys.stderr)
     return 0
 
 
