@@ -14,8 +14,6 @@ import os
 # Libraries read the number of threads when they are imported.
 os.environ |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 
-import ast
-import builtins
 import math
 import resource
 import subprocess
@@ -24,7 +22,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial, reduce
-from importlib.machinery import SourceFileLoader
 from importlib.util import find_spec
 from pathlib import Path
 from timeit import timeit
@@ -421,46 +418,14 @@ def operation_rows() -> Rows:
             seconds[0] / plain,
             ">= 1",
         )
-        counts = [] if paths else child(f"count({n_b})", NUMBA_DISABLE_JIT="1")[1].split()
+        counts = (
+            []
+            if paths
+            else child(f"from bench.operations import count; count({n_b})", NUMBA_DISABLE_JIT="1")[1].split()
+        )
         for work, number, duration in zip(("evaluation with slopes", "fit"), counts, seconds, strict=False):
             yield f"one {work}, {case} [floating-point operations]", float(number), ""
             yield f"one {work}, {case} [GFLOP/s]", 1e-9 * float(number) * len(q) / duration, ""
-
-
-def count(n_b: int) -> None:
-    """Print how many operations one evaluation with slopes takes, and one fit of three iterations.
-
-    Without numba the kernels are Python. We wrap every ``+ - * /`` of their source in a function that counts
-    one for each floating-point number in the result. Functions such as the square root do not count.
-    """
-    total: list[int] = []
-
-    def counted(result: Any) -> Any:
-        total.append(np.size(result) if np.asarray(result).dtype == np.float64 else 0)
-        return result
-
-    class Counting(ast.NodeTransformer):
-        def visit(self, node: ast.AST) -> ast.AST:
-            if isinstance(node, ast.AugAssign):
-                place: Any = ast.parse(ast.unparse(node.target), mode="eval").body
-                node = ast.Assign([node.target], ast.BinOp(place, node.op, node.value))
-            self.generic_visit(node)
-            counts = isinstance(getattr(node, "op", None), ast.Add | ast.Sub | ast.Mult | ast.Div)
-            return ast.Call(ast.Name("counted", ast.Load()), [node], []) if counts else node
-
-    def get_code(loader: SourceFileLoader, name: str) -> Any:
-        tree = ast.parse(loader.get_data(loader.path))
-        tree = Counting().visit(tree) if name.startswith("repro.") else tree
-        return compile(ast.fix_missing_locations(tree), loader.path, "exec", dont_inherit=True)
-
-    builtins.counted, SourceFileLoader.get_code = counted, get_code
-    robot, low, high = paper_robot(n_b)
-    sensing, q = repro.Sensing(robot), 0.4 * high
-    fit = repro.LevenbergMarquardt(sensing, low, high, NOISE_MT, iterations=3, tolerance=1e-12)
-    for work in (partial(sensing.linearise, q), batch(fit, q, sensing(1.1 * q))):
-        total.clear()
-        work()
-        print(sum(total))
 
 
 def answer(path: str, rows: int) -> None:
@@ -481,7 +446,8 @@ def child(call: str, **environment: str) -> tuple[float, str]:
 
     Returns its wall time [s], and what it printed.
     """
-    code = f"from bench.bench import *; {call}" if call.endswith(")") else call
+    ours = call.endswith(")") and "import" not in call
+    code = f"from bench.bench import *; {call}" if ours else call
     start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -27,3 +27,12 @@ def test_every_row_has_a_figure(tmp_path):
     assert fast["figure"][~there].isna().all()
     pd.testing.assert_series_equal(fast["target"][there], committed["target"][there])
     assert (fast["met"][there].notna() == fast["target"][there].notna()).all()
+    operations = (
+        fast.set_index("capability")["figure"].filter(like="multipoles").filter(like="[floating-point")
+    )
+    of_evaluation, of_fit = (
+        operations.filter(like="evaluation").to_numpy(),
+        operations.filter(like="fit").to_numpy(),
+    )
+    assert (of_evaluation > 1000).all(), "some ten operations for each of three readings and four slopes"
+    assert (of_fit > 4 * of_evaluation).all(), "three iterations evaluate four times, and solve"

@@ -38,9 +38,11 @@ gyroscopes at any time (``repro.estimators.rod``), trained networks without torc
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False  # the one of typing takes five times as long to import as all else here
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from repro.chain import (
         AffineCurvature as AffineCurvature,
         BallJoint as BallJoint,

@@ -46,7 +46,11 @@ class Summary(NamedTuple):
     def __str__(self) -> str:
         """Return a line of numbers, and one for each remark."""
         counted = {"reconnects": self.reconnects, "notes": self.notes} | self.counters
-        others = [f"{n} {name.replace('_', ' ')}" for name, n in counted.items() if n and name != "frames"]
+        words = {
+            name: (name.removesuffix("s") if n == 1 else name).replace("_", " ")
+            for name, n in counted.items()
+        }
+        others = [f"{n} {words[name]}" for name, n in counted.items() if n and name != "frames"]
         rate = f"{self.samples} samples of {self.format or 'no known format'}"
         rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
         numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]

@@ -9,7 +9,7 @@ from built_site import SITE, no_site, url_of
 from page_visit import FACTS, open_page
 
 PAGES = sorted(path.relative_to(SITE).as_posix() for path in SITE.rglob("*.html"))
-PRINTED = [page for page in PAGES if not page.startswith(("genindex", "search"))]
+PRINTED = [page for page in PAGES if not page.startswith(("genindex", "search", "sources/"))]
 WIDTH, HEIGHT = (round((length_mm - 30) / 25.4 * 96) for length_mm in (210, 297))
 """What margins leave of a sheet of A4, in pixels."""
 ON_PAPER = """() => {
