@@ -9,6 +9,7 @@ memory. A request must come soon and be small. Every page takes updates at its o
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import json
 import queue
@@ -117,6 +118,8 @@ UPDATE_S, STALLED_S, ASK_S = 0.05, 10.0, 2.0
 """Time between two updates; that a page may take nothing; within which a request must be there [s]."""
 RETRY_S = 1.0
 """After this time a page that has lost its connection asks again [s]."""
+LEFT_S = 5.0
+"""After this time a server that does not end is left alone: no recording waits for a page [s]."""
 MOST_PAGES = 5
 """A browser has six connections to an address; by the sixth it hears that there is no room."""
 
@@ -148,12 +151,13 @@ class PageServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._loop.call_soon_threadsafe(self.over.set)
-        self._thread.join()
-        self._loop.close()
+        with contextlib.suppress(RuntimeError):  # it has failed before, and its loop is closed
+            self._loop.call_soon_threadsafe(self.over.set)
+        self._thread.join(LEFT_S)
 
     def _run(self) -> None:
-        self._loop.run_until_complete(self._serve())
+        with contextlib.closing(self._loop):
+            self._loop.run_until_complete(self._serve())
 
     async def _serve(self) -> None:
         routes = [("/events", _Events, {"server": self}), ("/.*", _File, {"server": self})]

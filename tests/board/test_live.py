@@ -603,6 +603,19 @@ def test_pages_are_told_of_the_end(stream):
     assert b"event: end\n" in answer.read()
 
 
+def test_a_server_that_does_not_end_is_left_alone(stream, monkeypatch):
+    stuck, free, before = threading.Event(), threading.Event(), threading.active_count()
+    monkeypatch.setattr(view_module, "LEFT_S", 0.2)
+    monkeypatch.setattr(view_module, "message", lambda _: stuck.set() or free.wait(60))
+    server = PageServer(session_of(sent(U[:50])))
+    with server:
+        stream(server)
+        assert stuck.wait(30)
+    assert not free.is_set()  # the end of the session did not wait for the page
+    free.set()
+    until(lambda: threading.active_count() == before, 30)
+
+
 def test_a_message_names_the_suspect_and_is_json():
     told = message(session_of(sent(faulty(U[:400], "unplugged", 2, since=200))).moment)
     assert list(told["suspects"]) == told["shape"]["suspects"] == [2]
