@@ -62,7 +62,7 @@ page: .env-book
 # and one process more than there are cores uses what their waiting leaves.
 test: env
 	$(PY) -m repro_companion.kernels
-	$(PY) -m pytest -n $$(($(JOBS) + 1)) --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
+	$(PY) -m pytest -n $$(($(JOBS) + 1)) --max-worker-restart 1 --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
 	  tests/board tests src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
