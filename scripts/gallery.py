@@ -34,11 +34,12 @@ HEAD = """# Gallery of robots
 Ten robots to start from. Copy the file that is nearest to yours, change its numbers, and ask `repro check`.
 The files lie in `data/robots/gallery`, and [Robot file](robot_file.md) explains every key.
 
-Ranges and steps of the chips are those of their makers or drivers, which the files name. We have no measured
+We took ranges and steps of the chips from their makers or drivers, which the files name. We have no measured
 noise of any of them, so each noise is a placeholder: hold your robot still and take the standard deviation of
 what you read. The errors are of synthetic readings. Magpylib computes the fields of the robot as it is drawn,
 we add the noise of the file and round to the step of the chip, and least squares tracks ten seconds of a
-smooth motion. A robot that is built is not as drawn, so calibrate yours first.
+smooth motion. A robot that is built is not as drawn, so calibrate yours first. Do not compare chips by this table,
+because the arms differ, and so do the noises that we assumed.
 
 The table has the ± of the tip from the last line of `repro check`: the *median* of random shapes, the bound for all
 but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).

@@ -572,10 +572,10 @@ def _sensor(
         "resolution_mt": _number(0.0, 100.0, "mT", 0.0),
         f"noise_{low}": _noise(unit, axes),
         f"offset_{low}": _number(0.0, 1e9, unit, 0.0, signed=True, n=axes),
-        gain: _number(1e-3, 1e9, f"{unit}/mT", _NEEDED if own else 1.0, signed=True, n=1 if own else axes),
+        gain: _number(1e-3, 1e9, f"{unit}/mT", _NEEDED if own else 1.0, signed=True, n=axes),
     }
     row = document.read(keys, *place)
-    scale = row[gain] if per_mt is None else per_mt
+    scale = float(np.ravel(row[gain])[0]) if per_mt is None else per_mt
     std = row[f"noise_{low}"]
     if std is None and own:  # else that of the robot, which can be replaced
         std = noise
@@ -589,7 +589,7 @@ def _sensor(
             position=row["position_mm"], direction=row["direction"], axes=axes, orientation=row["orientation"],
             channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]), name=row["name"],
             range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, unit=unit,
-            gain=1.0 if own else row[gain], noise=None if std is None else np.divide(std, abs(scale)).tolist(),
+            gain=np.divide(row[gain], scale if own else 1.0).tolist(), noise=None if std is None else np.divide(std, abs(scale)).tolist(),
             offset=np.divide(row[f"offset_{low}"], scale).tolist(), free=free,
         )  # fmt: skip
 

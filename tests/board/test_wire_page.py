@@ -134,6 +134,55 @@ def test_the_sketch_sends_frames(tmp_path):
     np.testing.assert_allclose([1e3 * sample.values for sample in samples], expected, rtol=1e-6)
 
 
+LIBRARY = """
+#include <cmath>
+#include <cstdio>
+#include <string>
+enum { MLX90393_GAIN_5X, MLX90393_FILTER_2, MLX90393_OSR_1 };
+static unsigned long millis() { static unsigned long now; return now += 20; }
+struct String : std::string {
+  String(std::string text) : std::string(text) {}
+  String(const char *text) : std::string(text) {}
+  String(int k) : std::string(std::to_string(k)) {}
+  String(unsigned long k) : std::string(std::to_string(k)) {}
+  String(float x) { char text[32]; std::snprintf(text, sizeof text, "%.2f", x); assign(text); }
+};
+static struct {
+  void begin(long) {}
+  void print(const String &text) { std::fputs(text.c_str(), stdout); }
+  void println() { std::puts("\\r"); }
+} Serial;
+struct Adafruit_MLX90393 {
+  int address;
+  bool begin_I2C(int where) { address = where; return true; }
+  bool setGain(int) { return true; }
+  bool setFilter(int) { return true; }
+  bool setOversampling(int) { return true; }
+  bool readData(float *x, float *y, float *z) {
+    if (address == 0x0E) return false;
+    *x = 100.5f * address; *y = -1.25f; *z = 3;
+    return true;
+  }
+};
+"""
+"""Four chips with a library, of which the third does not answer."""
+
+
+def test_the_sketch_with_a_library_prints_lines(tmp_path):
+    (sketch,) = re.findall(r"```cpp\n(#include <Adafruit.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "Adafruit_MLX90393.h").write_text(LIBRARY)
+    run = "int main() { setup(); for (int i = 0; i < 9; i++) loop(); return 0; }\n"
+    (tmp_path / "sketch.cpp").write_text(sketch + run)
+    build = [compiler("c++", "g++", "clang++"), "-std=c++11", "-Wall", "-I.", "sketch.cpp", "-o", "sketch"]
+    subprocess.run(build, cwd=tmp_path, check=True, timeout=60)
+    sent = subprocess.run([str(tmp_path / "sketch")], capture_output=True, check=True, timeout=60).stdout
+    samples = wire.Parser().feed(sent)
+    assert len(samples) == 8  # the first line may be the end of one
+    lost = [math.nan] * 3
+    one = [1206, -1.25, 3, 1306.5, -1.25, 3, *lost, 1507.5, -1.25, 3]
+    np.testing.assert_allclose([sample.values for sample in samples], [one] * 8)
+
+
 def test_the_examples_of_the_page_are_what_is_written():
     frame = re.search(r"^\| frame \| (.*) \|$", PAGE, re.MULTILINE)
     assert frame

@@ -146,6 +146,13 @@ def test_units_of_readings_become_mt(tmp_path):
     robot = read(tmp_path, raw)
     assert robot.noise.tolist() == [0.02] * 3
     assert [sensor.offset for sensor in robot.sensors] == [-0.5] * 3
+    chip = """[[segments]]\nkind = "link"\nlength_mm = 10.0\n[[sensors]]\naxes = 3\nsegment = 1\nat_mm = 0.0
+gain_raw_per_mt = [1331.0, -1331.0, 826.0]\noffset_raw = [0, 0, 1331]\nnoise_raw = 2.662\n"""
+    earth = 'earth_mt = [0.02, 0.03, -0.04]\n[stream]\nunit = "raw"\nnoise_raw = 1.0\n'
+    robot = read(tmp_path, earth + chip)
+    counts = robot.sensors[0].per_mt * robot.sensing()([])
+    np.testing.assert_allclose(counts, [1331 * 0.02, -1331 * 0.03, 826 * -0.04 + 1331])
+    np.testing.assert_allclose(robot.noise, 0.002)
     micro = ONE.replace('unit = "mT"\nnoise_mt = 7.1e-4', 'unit = "uT"\nnoise_ut = 0.71')
     assert read(tmp_path, micro).noise == pytest.approx([7.1e-4] * 3)
     own = ONE.replace(SENSOR, SENSOR + "\nnoise_mt = 0.1\ngain = 2.0", 1)
