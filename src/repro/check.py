@@ -295,8 +295,8 @@ _MIRRORS = (((1.0, 1.0), (1, 0)), ((-1.0, 1.0), (0, 1)), ((1.0, -1.0), (0, 1)))
 def mirrors_in_words(robot: Assembly) -> tuple[str, ...]:
     """Return a sentence for each chip whose wiring no reading can check."""
     return tuple(
-        f"readings alone cannot tell whether axes of {name} are exchanged or inverted: hold the north pole of a magnet "
-        "on the side to which each axis points, and look whether that axis reads negative"
+        f"readings alone cannot tell whether axes of {name} are exchanged or inverted: hold the north pole of a "
+        "magnet on the side to which each axis points, and look whether that axis reads negative"
         for name in mirrored_chips(robot)
     )
 

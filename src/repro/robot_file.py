@@ -589,7 +589,8 @@ def _sensor(
             position=row["position_mm"], direction=row["direction"], axes=axes, orientation=row["orientation"],
             channels=row["channels"] or (None if row["channel"] is None else [row["channel"]]), name=row["name"],
             range=row["range_mt"], resolution=row["resolution_mt"], per_mt=scale, unit=unit,
-            gain=np.divide(row[gain], scale if own else 1.0).tolist(), noise=None if std is None else np.divide(std, abs(scale)).tolist(),
+            gain=np.divide(row[gain], scale if own else 1.0).tolist(),
+            noise=None if std is None else np.divide(std, abs(scale)).tolist(),
             offset=np.divide(row[f"offset_{low}"], scale).tolist(), free=free,
         )  # fmt: skip
 

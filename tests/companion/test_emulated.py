@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import repro
-from repro_board.emulate import course
+from repro_board.emulate import MOVE_S, course, spread_poses
 from repro_companion.papers import emulated
 
 
@@ -66,7 +68,7 @@ def test_coverage_in_words(share, words):
     said = emulated.calibrated_in_words(ERROR, 4 * STD, inside, 32, 1.0)
     assert words in said
     assert "so the stated ± is larger, 6.0 mm" in said
-    assert ("This is cautious" in said) == (share > 0.95)
+    assert ("This is too much" in said) == (share > 0.95)
 
 
 @pytest.mark.parametrize(
@@ -86,3 +88,10 @@ def test_cases_in_words():
     said = emulated.cases_in_words(pd.DataFrame({"median": [101.2, 0.757, 1.23]}), 32)
     for words in ("error of 101 mm", "32 poses the error is 0.76 mm", "whole motion is 1.2 mm"):
         assert words in said
+
+
+def test_the_page_records_for_as_long_as_the_poses_take():
+    page = (Path(__file__).parents[2] / "notebooks/own_robot.ipynb").read_text(encoding="utf-8")
+    (seconds,) = re.findall(r"--hold-poses.*\n.*--duration (\d+)", page)
+    robot = repro.load_robot(repro.example() / "robot.toml")
+    assert float(seconds) > len(spread_poses(robot, seed=3)) * (2.0 + MOVE_S)

@@ -39,8 +39,8 @@ def captured(robot: Robot, seconds: float, seed: int) -> pd.DataFrame:
 CALIBRATED = """
 The check assumes a perfect calibration. {{ poses }} poses leave some parameters open, so the stated ± is
 {{ "larger, " if std > design else "" }}{{ std | fixed(1) }} mm in the median.
-{{ "This is cautious: the" if error < std and share >= 95 else "The" }} median error is {{ "%.2g" | format(error) }}
-mm, and the 95 % ellipsoid contains the true tip in
+{{ "This is too much: the" if error < std / 2 and share >= 97 else "The" }} median error is
+{{ "%.2g" | format(error) }} mm, and the 95 % ellipsoid contains the true tip in
 {{ "all" if share == 100 else "nearly all" if share > 99 else "%.0f %% of the" | format(share) }} rows.
 """
 
