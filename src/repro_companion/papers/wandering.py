@@ -184,8 +184,8 @@ def by_method(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 IN_SHORT = """
-**What to see.** If sensors drift and the filter does not know it, the error of the tip grows to
-{{ once | fixed(1) }} % of the length in 45 minutes. With the drift in the state of the filter it stays at
+**What to see.** If sensors drift and the filter does not know it, the error of the tip in the last third of 45
+minutes is {{ once | fixed(1) }} % of the length. With the drift in the state of the filter it is
 {{ own | fixed(1) }} %, and the stated uncertainty is
 {{ "about right" if 0.5 < nees < 1.5 else "too small" if nees > 1 else "too large" }}. **We chose the drift of the
 offsets so that a filter that is calibrated once ends at 2 to 4 %; with smaller drift the gain is smaller. And we told
