@@ -23,7 +23,7 @@ NO_PROSE = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 """Code, formulas, rows of tables, places of links."""
-HIDDEN = {"parameters", "remove-input", "hide-input"}
+HIDDEN = {"parameters", "remove-input", "hide-input", "remove-cell", "hide-cell"}
 DIRECTIVE = re.compile(r"^(`{3,}|:{3,})\{(?:dropdown|figure)\}.*?^\1\s*$", re.DOTALL | re.MULTILINE)
 
 
@@ -31,6 +31,11 @@ def hidden(cell: dict) -> bool:
     """Whether a reader never sees the code of a cell at once; a solution is folded, and counts as shown."""
     tags = set(cell["metadata"].get("tags", []))
     return bool(HIDDEN & tags) and "solution" not in tags
+
+
+def statements(code: str) -> int:
+    """Return the number of statements."""
+    return sum(isinstance(node, ast.stmt) for node in ast.walk(ast.parse(code)))
 
 
 def sources(page: str, kind: str) -> list[str]:
@@ -44,14 +49,24 @@ def test_a_page_is_short(page):
     code = sources(page, "code")
     exercise = any("solution" in cell["metadata"].get("tags", []) for cell in PAGES[page])
     assert len(code) <= 13 + 2 * exercise, "12 and the parameters, 14 with an exercise in code"
-    nodes = [node for cell in code for node in ast.walk(ast.parse(cell))]
-    assert sum(isinstance(node, ast.stmt) for node in nodes) <= 110
+    assert sum(map(statements, code)) <= 110
     shown = [
         "".join(cell["source"]) for cell in PAGES[page] if cell["cell_type"] == "code" and not hidden(cell)
     ]
     assert max(len(line) for cell in shown for line in cell.splitlines()) <= 88
     text = NO_PROSE.sub(" ", DIRECTIVE.sub(" ", "\n".join(sources(page, "markdown"))))
     assert len(re.findall(r"[A-Za-zÀ-ÿ'’]+", text)) <= 1000
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_at_most_a_third_of_the_code_of_a_page_is_hidden(page):
+    """Parameters apart, and with the folded solution of an exercise."""
+    sizes = {True: 0, False: 0}
+    for cell in PAGES[page]:
+        tags = set(cell["metadata"].get("tags", []))
+        if cell["cell_type"] == "code" and "parameters" not in tags:
+            sizes[bool(HIDDEN & tags)] += statements("".join(cell["source"]))
+    assert 2 * sizes[True] <= sizes[False]
 
 
 @pytest.mark.parametrize("page", PAGES)

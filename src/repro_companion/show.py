@@ -138,9 +138,12 @@ def show(frame: pd.DataFrame, names: Mapping[str, str] | None = None, digits: in
     return styler.format(lambda value: number(value, digits), escape="html")
 
 
-def say(text: str) -> None:
-    """Show a sentence, as Markdown, if there is one."""
+def say(*parts: object) -> None:
+    """Show sentences, as Markdown, tables and figures, one below the other; an empty sentence is nothing."""
     from IPython.display import Markdown, display
 
-    if text:
-        display(Markdown(text))
+    for part in parts:
+        if not isinstance(part, str):
+            display(part)
+        elif part:
+            display(Markdown(part))

@@ -15,7 +15,7 @@ import repro
 from repro_companion.papers import baaij, loop
 from repro_companion.show import project_folder
 
-METHOD = ["noise_mt: float", "def closed_loop", "def dot", "def kalman"]
+METHOD = ["noise_mt: float", "def moved", "def closed_loop", "def dot", "def kalman"]
 
 
 @pytest.fixture(scope="module")

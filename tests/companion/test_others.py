@@ -119,6 +119,15 @@ def test_regions_of_true_covariances_cover_as_often_as_they_should(dimensions):
     assert longest == pytest.approx(edge * np.linalg.norm(A, 2), rel=1e-3)
 
 
+def test_the_page_counts_what_regions_hold_as_for_all_robots():
+    page = json.loads((project_folder() / "notebooks/others.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in page["cells"] if cell["cell_type"] == "code"]
+    space = {}
+    exec("\n".join(cells[1:3]), space)
+    covered, longest = others.coverage(space["error"], space["C"])
+    assert (100 * space["inside"].mean(), np.median(space["longest"])) == (covered, longest)
+
+
 def test_where_no_file_is_here_figures_are_those_that_were_committed(tmp_path, monkeypatch):
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
     found = {name: others.found(name) for name in FETCHED}
@@ -128,7 +137,7 @@ def test_where_no_file_is_here_figures_are_those_that_were_committed(tmp_path, m
     for name, own in found.items():
         study = pd.read_csv(project_folder() / f"data/studies/others_{name}.csv")
         assert own.figures == dict(zip(study["figure"], study["value"], strict=True))
-        assert f"<code>.venv/bin/repro fetch {name}</code>" in others.table(table)
+        assert f"<code>.venv/bin/repro fetch {name}</code>" in others.table(table).data
     assert set(others.pictures(found)["look"]) == {"drawn", "bodies"}
     for source in [source for name in FETCHED for source in listed_files(name)]:  # others than were released
         (tmp_path / source.name).parent.mkdir(parents=True, exist_ok=True)

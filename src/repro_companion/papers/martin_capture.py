@@ -31,7 +31,7 @@ from repro_companion.papers.martin_files import (
 )
 from repro_companion.run import project_folder
 from repro_companion.scorecard import AUTHORS
-from repro_companion.show import KEY, sentences
+from repro_companion.show import KEY, sentences, show
 
 HEADER = [f"{name}{body}" for body in ("base", "4", "7") for name in "RPYxyz"]
 """Columns after frame and sub-frame, which have no name: three angles, which nobody uses, and x, y, z of a body."""
@@ -525,10 +525,18 @@ WRITTEN = (
 )
 
 
-def files_on_the_page(found: Recording | None, files: pd.DataFrame) -> str:
+def both_ways_on_the_page(found: Recording | None, both: pd.DataFrame | None) -> list[object]:
+    """Return words and table of both evaluations; nothing without the recording."""
+    if found is None or both is None:
+        return []
+    return [both_ways_in_words(found, both), show(both_ways_shown(both))]
+
+
+def files_on_the_page(found: Recording | None, files: pd.DataFrame) -> list[object]:
     """Return which files are here, how to get them, and how well our chains give the released tables."""
     here, tables = martin_files.files_in_words(), martin_files.tables_in_words(files)
     if found:
-        return f"{evaluated_in_words(found)} {here}\n\n{tables}"
+        compared = show(files[list(martin_files.HEADS)], martin_files.HEADS)
+        return [f"{evaluated_in_words(found)} {here}\n\n{tables}", compared]
     fetch = f"{here} These commands get them and build the page:\n\n{martin_files.FETCH}"
-    return f"{fetch}\n\n{WRITTEN} {CHECKED}\n\n{tables}"
+    return [f"{fetch}\n\n{WRITTEN} {CHECKED}\n\n{tables}"]

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from IPython.display import HTML
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, gmean
 
@@ -121,9 +122,15 @@ def rows(of_robots: Mapping[str, Found]) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def table(of_rows: pd.DataFrame) -> str:
-    """Return the table of the page as HTML; each robot leads to its repository."""
-    return rendered("others.html", rows=of_rows.to_dict("records"))
+def figures(of_robots: Mapping[str, Found]) -> pd.DataFrame:
+    """Return all figures of all robots, a row each."""
+    named = {name: pd.Series(own.figures, name="value") for name, own in of_robots.items()}
+    return pd.concat(named, names=["robot", "figure"]).reset_index()
+
+
+def table(of_rows: pd.DataFrame) -> HTML:
+    """Return the table of the page; each robot leads to its repository."""
+    return HTML(rendered("others.html", rows=of_rows.to_dict("records")))
 
 
 IN_SHORT = """
@@ -221,3 +228,18 @@ def region(own: Found, case: str) -> pd.DataFrame:
     half = np.sqrt(chi2(1).ppf(LEVEL) * np.diagonal(C, axis1=1, axis2=2))
     axes = [form.format(axis) for form in ("{}_mm", "half_{}_mm") for axis in "xyz"[: error.shape[1]]]
     return pd.DataFrame(np.concatenate([error, half], axis=1), columns=axes)
+
+
+def tips_of_trunk(own: Found, every: int) -> pd.DataFrame:
+    """Return how far the tip of the trunk is off [mm], by arcs alone and with what was learned; every n-th frame.
+
+    Of the short motion all frames are there.
+    """
+    parts = []
+    for motion, (_, kept, arcs) in own.names["kept"].items():
+        learned, _ = own.names["judged"][motion]
+        tip = pd.DataFrame({"motion": motion, "frame": np.flatnonzero(kept)[-len(arcs) :]})
+        tip["arcs"] = np.linalg.norm(arcs, axis=1)
+        tip["with what was learned"] = np.linalg.norm(learned, axis=1)
+        parts.append(tip[:: every if motion == "adiabatic" else 1])
+    return pd.concat(parts)

@@ -19,24 +19,19 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from repro import (
     AffineCurvature,
-    Arm,
     BendSensor,
     ConstantCurvature,
     Cube,
     FreeBody,
     Imu,
     Magnet,
-    ParticleFilter,
     Ring,
     Robot,
     Sensor,
     calibrate,
-    exact_arcs,
     simulated_readings,
-    track,
 )
 from repro.chain import point_on
-from repro.estimators.particle import BendDisc
 from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
@@ -362,30 +357,10 @@ def shape(robot: Robot, q: np.ndarray) -> Shape:
     return T[..., :3, 3], T[..., -1, :3, :3]
 
 
-def by_imus(known: Known, seen: Readings) -> Shape:
-    """Return the shape by two IMUs: an arc of the mean length that joins the orientations of both ends."""
-    base, tip = orientations(known, seen)
-    length = LENGTH + ELONGATION
-    arm = Arm([0, 1], [0.0, length], [length], sub_segments=1)
-    q = np.stack([base.as_quat(), tip.as_quat()], axis=1)
-    return exact_arcs(q, arm, np.linspace(0.0, length, 12)), tip.as_matrix()
-
-
-def by_hall(runs: Sequence[tuple[Known, Readings]], seed: int = 0) -> list[Shape]:
-    """Return the shapes by the Hall sensor: a cloud of particles finds the bend between it and the cube.
-
-    The rest of the segment is taken to be alike, and the field along the body is left out. Without readings the
-    segment is straight.
-    """
-    across = [(seen.hall[:, :2] - known.offset) @ np.linalg.inv(known.matrix).T for known, seen in runs]
-    u = np.insert(np.stack(across, axis=1), 2, np.nan, axis=-1)
-    noise, region = [0.002 * np.pi] * 2, BendDisc(np.pi / 2 * APART / LENGTH)
-    cloud = ParticleFilter(SEEN_BY_HALL, noise, HALL_NOISE, region)
-    bend = np.zeros((*u.shape[:2], 2))
-    if np.isfinite(u[..., :2]).all():
-        bend = track(cloud, u, bend[0], rate_hz=40, seed=seed).q
-    q = np.insert(bend * RADIUS * LENGTH / APART, 2, ELONGATION, axis=-1)
-    return [shape(baaij.robot(1), q[:, k]) for k in range(len(runs))]
+def across(known: Known, seen: Readings) -> np.ndarray:
+    """Return what the Hall sensor reads ``[t, 3]`` [mT] as the nominal one would; NaN along the body."""
+    u = (seen.hall[:, :2] - known.offset) @ np.linalg.inv(known.matrix).T
+    return np.insert(u, 2, np.nan, axis=-1)
 
 
 def calibrated(tips: np.ndarray, seen: Readings) -> Known:
