@@ -8,8 +8,8 @@ import pytest
 
 from repro_companion import plots
 from repro_companion.papers import baaij
-from repro_companion.scorecard import scorecard
-from repro_companion.show import project_folder, published
+from repro_companion.scorecard import published, scorecard
+from repro_companion.show import project_folder
 
 RESULTS = project_folder() / "results"
 

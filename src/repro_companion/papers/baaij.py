@@ -31,7 +31,7 @@ from repro.estimators.base import Estimate
 from repro.networks import Network, load_network
 from repro.tolerances import Tolerances
 from repro_companion.scorecard import COMPARED, kinds
-from repro_companion.show import project_folder, ratio_interval, sentences
+from repro_companion.show import mean_ratio, project_folder, sentences
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -235,8 +235,7 @@ def gain(best: pd.DataFrame) -> pd.DataFrame:
             errors = own.pivot_table(index="draw", columns="calibrated", values="error_percent")
             errors = errors.reindex(columns=[True, False]).to_numpy()
             columns = np.stack([errors.mean(0), errors.std(0, ddof=1)], axis=1).ravel()
-            interval = ratio_interval(errors, errors[:, ::-1])[:, 0]  # of the first column over the second
-            lines.append((row, quantity, *columns, columns[0] / columns[2], *interval))
+            lines.append((row, quantity, *columns, *mean_ratio(*errors.T)))
     names = [f"{method}_percent{of}" for method in ("calibrated", "uncalibrated") for of in ("", "_std")]
     return pd.DataFrame(lines, columns=["row", "quantity", *names, "ratio", "ratio_low", "ratio_high"])
 

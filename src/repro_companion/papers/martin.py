@@ -21,7 +21,8 @@ from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
 from repro_companion.run import project_folder
-from repro_companion.show import number, published, ratio_interval, sentences
+from repro_companion.scorecard import published
+from repro_companion.show import KEY, mean_ratio, number, sentences
 
 # The arm and Table I
 
@@ -492,13 +493,12 @@ def scorecard_rows(
     ``best`` has the errors of our method by distance along the arm [mm]. What is not synthetic is comparable.
     """
     data = project_folder() / "data"
-    printed = pd.read_csv(data / "published" / "published.csv").query("paper == 'martin2022'")
     rate = pd.read_csv(data / "benchmark.csv").set_index("capability")["figure"][TIME]
     values = table.pivot_table(
         index=["evaluation", "draw"], columns=["case", "marker"], values=["median_mm", "q75_mm"]
     )
     lines, known = [], set(table["case"])
-    for row in printed[["artefact", "row", "quantity", "unit"]].to_dict("records"):
+    for row in published("martin2022")[KEY[1:]].to_dict("records"):
         cases, marker = cases_of(row["row"], known)
         if row["quantity"] == "time":
             lines.append(row | {"regenerated": 8000 / rate, "setting": "benchmark", "note": TIME_NOTE})
@@ -635,10 +635,9 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
     lines = []
     for method, mode, point in medians:
         ours, base = (medians[name, mode, point].to_numpy() for name in (method, BASELINE))
-        low, high = ratio_interval(ours, base, 2000)
-        ratio = {"ratio": ours.mean() / base.mean(), "ratio_low": low, "ratio_high": high, "draws": len(ours)}
-        lines.append({"method": method, "mode": mode, "point": point, "median_mm": ours.mean()} | ratio)
-    return pd.DataFrame(lines)
+        lines.append((method, mode, point, ours.mean(), *mean_ratio(ours, base, 2000), len(ours)))
+    names = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
+    return pd.DataFrame(lines, columns=names)
 
 
 CALIBRATED = """
