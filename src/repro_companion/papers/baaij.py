@@ -77,14 +77,14 @@ def networks(n_segments: int, seed: int, *, earth: bool = False) -> list[Network
     return [network(n_segments, segment, seed, earth=earth) for segment in range(1, n_segments + 1)]
 
 
-def lemniscate(n_segments: int, *, half: bool = False, steps: int = STEPS) -> np.ndarray:
-    """Return the lemniscate T3, or its half T2, of every segment ``[steps, 3 n_segments]`` [m]."""
-    s, turns = np.linspace(0, 1, steps), math.pi if half else 2 * math.pi
+def lemniscate(n_segments: int, *, steps: int = STEPS) -> np.ndarray:
+    """Return the lemniscate T3 of every segment ``[steps, 3 n_segments]`` [m]."""
+    turn = 2 * math.pi * np.linspace(0, 1, steps)
     columns = []
     for i in range(n_segments):
         phase = 2 * math.pi * i / n_segments
-        columns += [BEND * np.sin(2 * turns * s + phase), BEND * np.sin(turns * s + phase)]
-        columns += [2.75e-3 * (1 + np.sin(2 * math.pi * s + phase))]
+        columns += [BEND * np.sin(2 * turn + phase), BEND * np.sin(turn + phase)]
+        columns += [2.75e-3 * (1 + np.sin(turn + phase))]
     return np.stack(columns, axis=-1)
 
 

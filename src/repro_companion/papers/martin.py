@@ -612,12 +612,10 @@ BASELINE, BEST = "PCC-16", "exact arcs + all"
 """Names of methods in the study ``martin_calibration``: the paper's model as it is, and ours."""
 
 
-def calibrated_errors(
-    trial: SyntheticTrial, model: ShapeModel, per_imu: bool | None, first_s: float = 60.0
-) -> pd.DataFrame:
+def calibrated_errors(trial: SyntheticTrial, model: ShapeModel, per_imu: bool | None) -> pd.DataFrame:
     """Return errors [mm] after the first minute; on it the frame, or headings and mountings too, are calibrated."""
     made, q, origin = arm("pcc"), trial.orientations, np.zeros(3)
-    first = trial.time_s - trial.time_s[0] < first_s
+    first = trial.time_s - trial.time_s[0] < 60.0
     if per_imu is not None:
         found = calibrate_imus(q[first][::10], trial.points[first][::10, :2], model, made, per_imu=per_imu)
         q, origin = calibrated(q, found), found.translation

@@ -987,7 +987,7 @@ def over_time(runs: Sequence[Run], points: int = 200) -> pd.DataFrame:
 # Fig. 8
 
 
-QUIET_S, BASELINE_S, LEAST_S = 10.0, 10.0, 0.1
+QUIET_S = 10.0
 
 
 def light_files() -> dict[str, Hall]:
