@@ -438,13 +438,18 @@ def hull(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd
     off = [shape(x.orientations[::every], arm("pcc"), arcs) - x.truth(moved, arcs, every) for x in trials]
     radius = np.percentile(1e3 * np.linalg.norm(np.concatenate(off), axis=-1), 75, axis=0)
     both = np.concatenate([first.truth(moved, arcs), shape(first.orientations, arm("pcc"), arcs)], axis=-1)
-    names = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
     for mode in dict.fromkeys(first.mode.tolist()):
         samples = np.flatnonzero(first.mode == mode)
         k = samples[len(samples) // 4]
-        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=first.time_s[k])
-        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=radius))
+        parts.append(in_hull(mode, first.time_s[k], arcs, both[k], radius))
     return pd.concat(parts, ignore_index=True)
+
+
+def in_hull(mode: str, time_s: float, arcs: np.ndarray, both: np.ndarray, radius: np.ndarray) -> pd.DataFrame:
+    """Return true and estimated points ``[n, 6]`` [m] of one pose with the radius [mm] around them, as a table."""
+    columns = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
+    pose = pd.DataFrame(1e3 * both, columns=columns).assign(mode=mode, time_s=time_s)
+    return pose.assign(arc_mm=1e3 * arcs, radius_mm=radius)
 
 
 # The scorecard
