@@ -12,7 +12,7 @@ import json
 import numpy as np
 
 from repro import Sensing
-from repro_companion.papers import rig
+from repro_companion.papers import rig, table_2
 from repro_companion.show import project_folder
 
 FRAME, SEED = 429, 2
@@ -32,9 +32,9 @@ def landscape(sensing: Sensing, u: np.ndarray, elongation: float) -> np.ndarray:
 
 def main() -> None:
     """Compute the grid and write it, as a script that a page can read from disk."""
-    data = rig.load("simulated")
+    data = table_2.load("simulated")
     q, u = data.tests["T2"].q[FRAME], data.tests["T2"].u[FRAME]
-    sensing = Sensing(rig.robot(), rig.networks(data, SEED), earth=rig.EARTH)
+    sensing = Sensing(rig.robot(), table_2.networks(data, SEED), earth=rig.EARTH)
     values = landscape(sensing, u, q[2]).astype("<f4")
     about = {
         "points": POINTS,

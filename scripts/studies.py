@@ -24,7 +24,17 @@ import repro
 from repro import GradientDescent, Sensing, exact_arcs, pcc_extended, track
 from repro.networks import load_network, network_of
 from repro_board.emulate import course, faulty
-from repro_companion.papers import baaij, martin, mitchell, released_networks, rig, sensor_count, wandering
+from repro_companion.papers import (
+    baaij,
+    martin,
+    mitchell,
+    released_networks,
+    rig,
+    sensor_count,
+    simulated_rig,
+    table_2,
+    wandering,
+)
 from repro_companion.papers.bend_filter import BendFilter
 from repro_companion.show import project_folder
 
@@ -35,27 +45,29 @@ def rig_starts() -> pd.DataFrame:
     One row for each trajectory, seed, start and step, on the simulated rig: the published step, and half of it with
     twice the iterations.
     """
-    data = rig.load("simulated")
+    data = table_2.load("simulated")
     q, u = data.beginnings(15.0)
-    q, u = (np.broadcast_to(x[:, :, None], (*x.shape[:2], rig.STARTS, 3)) for x in (q, u))
+    q, u = (np.broadcast_to(x[:, :, None], (*x.shape[:2], table_2.STARTS, 3)) for x in (q, u))
     known = np.where([False, False, True], q, np.nan)
-    apart = 1 + rig.APART * np.random.default_rng(0).uniform(-1, 1, (rig.STARTS, 3))
+    apart = 1 + table_2.APART * np.random.default_rng(0).uniform(-1, 1, (table_2.STARTS, 3))
     lines = []
     for step, shorter in (("published", 1), ("half", 2)):
-        for seed in rig.SEEDS:
-            sensing = Sensing(rig.robot(), rig.networks(data, seed), earth=rig.EARTH)
-            moves = np.array(rig.STEP_SIZE) / shorter
-            descent = GradientDescent(sensing, moves, rig.MOMENTUM, rig.ITERATIONS * shorter)
+        for seed in table_2.SEEDS:
+            sensing = Sensing(rig.robot(), table_2.networks(data, seed), earth=rig.EARTH)
+            moves = np.array(table_2.STEP_SIZE) / shorter
+            descent = GradientDescent(sensing, moves, table_2.MOMENTUM, table_2.ITERATIONS * shorter)
             found = track(descent, u, q[0] * apart, known=known, progress=f"{step} step, seed {seed}").q
             off = 1e3 * np.sqrt(((found - q) ** 2).mean(axis=0))
             for i, name in enumerate(data.tests):
-                lines += [(step, rig.row_name(name), seed, k, *off[i, k, :2]) for k in range(rig.STARTS)]
+                lines += [
+                    (step, table_2.row_name(name), seed, k, *off[i, k, :2]) for k in range(table_2.STARTS)
+                ]
     table = pd.DataFrame(lines, columns=["step", "row", "seed", "start", "delta_x", "delta_y"])
     table.attrs = {
         "trajectories": list(data.tests),
-        "seeds": rig.SEEDS,
-        "starts": rig.STARTS,
-        "apart": rig.APART,
+        "seeds": table_2.SEEDS,
+        "starts": table_2.STARTS,
+        "apart": table_2.APART,
     }
     table.attrs |= {"seconds": 15.0, "steps": ["published", "half"]}
     return table
@@ -70,7 +82,7 @@ def rig_sensors() -> pd.DataFrame:
     counts as much, and its offset is left out. It needs the authors' networks (``repro fetch baaij2023_networks``).
     """
     names = [name for name in rig.TRAJECTORIES if name not in released_networks.LEFT_OUT]
-    q = {name: rig.simulated(name).q[:: 40 if name == "T5" else 4] for name in names}
+    q = {name: simulated_rig.simulated(name).q[:: 40 if name == "T5" else 4] for name in names}
     seeds, predicted = released_networks.SEEDS, released_networks.load_sensing
     u = {name: np.mean([predicted(name, seed)(q[name]) for seed in seeds], axis=0) for name in names}
 
@@ -79,31 +91,31 @@ def rig_sensors() -> pd.DataFrame:
         across = np.sin(polar)
         axis = np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(polar)])
         own = {"sensitivity": 5000 * axis, "curvature": np.transpose(curvature), "ripple": ripple}
-        return SimpleNamespace(**vars(rig.RIG) | own)
+        return SimpleNamespace(**vars(simulated_rig.RIG) | own)
 
     def simulated(of: SimpleNamespace, name: str) -> np.ndarray:
         felt = q[name].copy()
-        felt[:, 2] = 1e-3 * rig.RIG.elongation
-        return rig.readings(of, felt, felt)
+        felt[:, 2] = 1e-3 * simulated_rig.RIG.elongation
+        return simulated_rig.readings(of, felt, felt)
 
     def differences(values: np.ndarray) -> np.ndarray:
         off = [u[name] - simulated(sensors(values), name) for name in names]
         return np.concatenate([((d - d.mean(axis=0)) / len(d) ** 0.5).ravel() for d in off])
 
-    x, y, z = np.transpose(rig.RIG.sensitivity)
+    x, y, z = np.transpose(simulated_rig.RIG.sensitivity)
     first = [
         np.arctan2(y, x),
         np.arctan2(np.hypot(x, y), z),
-        *np.transpose(rig.RIG.curvature),
-        rig.RIG.ripple,
+        *np.transpose(simulated_rig.RIG.curvature),
+        simulated_rig.RIG.ripple,
     ]
     best = sensors(least_squares(differences, np.concatenate(first)).x)
-    rest = rig.RIG.rest + (u["T5"] - simulated(best, "T5")).mean(axis=0)
+    rest = simulated_rig.RIG.rest + (u["T5"] - simulated(best, "T5")).mean(axis=0)
     lines = []
     for name in names:
         moves = 1 if name == "T1" else 2
         plane = np.column_stack([1e3 * q[name][:, :moves], np.ones(len(q[name]))])
-        both = u[name], simulated(rig.RIG, name)
+        both = u[name], simulated(simulated_rig.RIG, name)
         slopes = [np.linalg.lstsq(plane, readings, rcond=None)[0][:moves] for readings in both]
         for j in range(rig.SENSORS):
             own = [value for slope in slopes for value in (*slope[:, j], np.nan)[:2]]
@@ -127,13 +139,13 @@ def table_2_networks() -> pd.DataFrame:
     q, u = data.beginnings(seconds)
     known = np.where([False, False, True], q, np.nan)
     sensings = [released_networks.load_sensing("T5", seed) for seed in released_networks.SEEDS]
-    descents = [GradientDescent(s, rig.STEP_SIZE, rig.MOMENTUM, rig.ITERATIONS) for s in sensings]
+    descents = [GradientDescent(s, table_2.STEP_SIZE, table_2.MOMENTUM, table_2.ITERATIONS) for s in sensings]
     found = np.stack([track(descent, u, q[0], known=known).q for descent in descents], axis=2)
     predicted = np.stack([sensing(q) for sensing in sensings], axis=2)
-    table = rig.errors(data, {"known": found}, predicted, seconds)
+    table = table_2.errors(data, {"known": found}, predicted, seconds)
     starts = 8
     q, u, known = (np.broadcast_to(x[:, :, None], (*x.shape[:2], starts, 3)) for x in (q, u, known))
-    apart = 1 + rig.APART * np.random.default_rng(0).uniform(-1, 1, (starts, 3))
+    apart = 1 + table_2.APART * np.random.default_rng(0).uniform(-1, 1, (starts, 3))
     again = np.stack([track(descent, u, q[0] * apart, known=known).q for descent in descents])
     off = np.sqrt(((again - q) ** 2).mean(axis=1))[..., :2]  # [seed, trajectory, start, axis]
     moved = (np.ptp(off, axis=2) / off.mean(axis=2)).max(axis=0) > 0.1
@@ -169,13 +181,13 @@ def bend_filter() -> pd.DataFrame:
         path = folder / f"{seed}.csv"
         if not path.is_file():
             random, robot = random_rig(seed), f"random rig {seed}"
-            recordings = {name: rig.simulated(name, random, seed) for name in rig.TRAJECTORIES}
-            data = rig.divided(recordings, "simulated")
+            recordings = {name: simulated_rig.simulated(name, random, seed) for name in rig.TRAJECTORIES}
+            data = table_2.divided(recordings, "simulated")
             errors = bend_errors(robot, data, [quick_sensing(data.train, folder / f"{seed}.state")], seconds)
             errors.to_csv(path, index=False)
         parts.append(pd.read_csv(path))
-    data = rig.load("simulated")
-    sensings = [Sensing(rig.robot(), rig.networks(data, seed), earth=rig.EARTH) for seed in rig.SEEDS]
+    data = table_2.load("simulated")
+    sensings = [Sensing(rig.robot(), table_2.networks(data, seed), earth=rig.EARTH) for seed in table_2.SEEDS]
     parts.insert(0, bend_errors("simulated rig", data, sensings, seconds))
     sensings = [released_networks.load_sensing("T5", seed) for seed in released_networks.SEEDS]
     parts.insert(1, bend_errors("authors' networks", released_networks.robots(), sensings, seconds))
@@ -186,7 +198,7 @@ def bend_filter() -> pd.DataFrame:
 
 def random_rig(seed: int) -> SimpleNamespace:
     """Return the simulated rig with other sensors, magnet, hystereses, lags, drift and biases."""
-    rng, own = np.random.default_rng(seed), SimpleNamespace(**vars(rig.RIG))
+    rng, own = np.random.default_rng(seed), SimpleNamespace(**vars(simulated_rig.RIG))
 
     def times(values: Any, low: float, high: float) -> Any:
         return np.array(values) * rng.uniform(low, high, np.shape(values))
@@ -214,12 +226,14 @@ def quick_sensing(train: rig.Recording, checkpoint: Any) -> Sensing:
     for j in range(rig.SENSORS):
         settings = {"epochs": EPOCHS, "swa_start": EPOCHS // 2, "progress": checkpoint.stem}
         state = checkpoint.with_suffix(f".{j}.state")
-        network = train_paper(*rig.training_rows(train, j), 0, rig.LEARNING_RATE, state, **settings)[0]
+        network = train_paper(*table_2.training_rows(train, j), 0, table_2.LEARNING_RATE, state, **settings)[
+            0
+        ]
         networks.append(network_of({name: value.numpy() for name, value in network.state_dict().items()}))
     return Sensing(rig.robot(), networks, earth=rig.EARTH)
 
 
-def bend_errors(robot: str, data: rig.Data, sensings: list[Sensing], seconds: float) -> pd.DataFrame:
+def bend_errors(robot: str, data: table_2.Data, sensings: list[Sensing], seconds: float) -> pd.DataFrame:
     """Return the errors of all methods on one robot: of descents the mean over the networks."""
     q, u = data.beginnings(seconds)
     known, truth, lines = np.where([False, False, True], q, np.nan), 1e3 * q[..., :2], []
@@ -233,8 +247,10 @@ def bend_errors(robot: str, data: rig.Data, sensings: list[Sensing], seconds: fl
             lines.append((robot, name, method, *own))
 
     for method, shorter in (("descent", 1), ("half step", 2)):
-        moves = np.array(rig.STEP_SIZE) / shorter
-        descents = [GradientDescent(s, moves, rig.MOMENTUM, rig.ITERATIONS * shorter) for s in sensings]
+        moves = np.array(table_2.STEP_SIZE) / shorter
+        descents = [
+            GradientDescent(s, moves, table_2.MOMENTUM, table_2.ITERATIONS * shorter) for s in sensings
+        ]
         found = [track(descent, u, q[0], known=known).q[..., :2] for descent in descents]
         add(method, 1e3 * np.stack(found, axis=2))
     for method, own in (("filter", False), ("filter, own biases", True)):

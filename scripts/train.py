@@ -21,7 +21,7 @@ from training import save_network, train_fast, train_paper
 from training_sets import DATA_SEED, SAMPLES, SegmentNetwork, trained_networks
 
 from repro.common import Array
-from repro_companion.papers import rig
+from repro_companion.papers import rig, table_2
 from repro_companion.papers.baaij import SEEDS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,7 +74,7 @@ def main(
     if recordings:
         return train_for_recordings()
     own = [OwnNetwork(1, 0, earth=False, seed=seed) for seed in SEEDS]
-    of_rig = [rig.RigNetwork(sensor, seed) for seed in SEEDS for sensor in range(rig.SENSORS)]
+    of_rig = [table_2.RigNetwork(sensor, seed) for seed in SEEDS for sensor in range(rig.SENSORS)]
     wanted = [spec for spec in (*trained_networks(), *of_rig, *own) if spec.name.startswith(only)]
     missing = [spec for spec in wanted if not (folder / f"{spec.name}.safetensors").exists()]
     if not wanted:
@@ -103,14 +103,16 @@ def main(
 
 def train_for_recordings() -> int:
     """Train the networks that the recordings of Table 2 in REPRO_DATA_DIR do not have yet."""
-    data = rig.load("recorded")
-    for seed in rig.SEEDS:
-        for sensor, path in enumerate(rig.network_files(data, seed)):
+    data = table_2.load("recorded")
+    for seed in table_2.SEEDS:
+        for sensor, path in enumerate(table_2.network_files(data, seed)):
             if not path.is_file():
                 path.parent.mkdir(parents=True, exist_ok=True)
-                xi, u = rig.training_rows(data.train, sensor)
+                xi, u = table_2.training_rows(data.train, sensor)
                 state = path.with_suffix(".state")
-                network, errors, _ = train_paper(xi, u, seed, rig.LEARNING_RATE, state, progress=path.stem)
+                network, errors, _ = train_paper(
+                    xi, u, seed, table_2.LEARNING_RATE, state, progress=path.stem
+                )
                 about = {"recipe": "paper", "sensor": sensor, "seed": seed, "rmse_mv": errors}
                 save_network(network, path, about)
     return 0
@@ -118,7 +120,7 @@ def train_for_recordings() -> int:
 
 def settings(spec: Any) -> dict[str, Any]:
     """Return which network it is and what its rows come from."""
-    origin = spec.origin if isinstance(spec, rig.RigNetwork) else {"data_seed": DATA_SEED}
+    origin = spec.origin if isinstance(spec, table_2.RigNetwork) else {"data_seed": DATA_SEED}
     return {**asdict(spec), "learning_rate": spec.learning_rate, **origin}
 
 
@@ -129,7 +131,7 @@ def sha256(xi: Array, u: Array) -> str:
 
 def record(spec: Any, errors: dict[str, float], losses: Array) -> dict[str, Any]:
     """Return what came of the training, and on which processor, which decides its last digits."""
-    unit = "mV" if isinstance(spec, rig.RigNetwork) else "mT"
+    unit = "mV" if isinstance(spec, table_2.RigNetwork) else "mT"
     info = Path("/proc/cpuinfo")  # of Linux
     model = re.search(r"^model name\s*: (.*)$", info.read_text(), re.M) if info.is_file() else None
     # Five digits: for a plot, and to see where another training parts from this one.

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 from cycler import cycler
 from IPython.display import HTML
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import PatchCollection
@@ -107,13 +106,32 @@ def column_of_panels(count: int, height: float, xlabel: str, **grid: object) -> 
     return figure, panels[:, 0]
 
 
+def marks(looks: Mapping[str, Look]) -> list[Line2D]:
+    """Return entries of a legend from what they say and how it is drawn."""
+    return [Line2D([], [], label=label, **look) for label, look in looks.items()]
+
+
 def with_legend(
-    figure: Figure, of: Axes | Sequence[Artist] | None = None, columns: int = 2, **look: object
+    figure: Figure, of: Axes | Mapping[str, Look] | None = None, columns: int = 2, **look: object
 ) -> Figure:
-    """Return a figure for its cell with a legend above all panels: of one panel, of some lines, or of everything."""
-    lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else of
+    """Return a figure for its cell with a legend above all panels: of one panel, of given looks, or of everything."""
+    lines = of.get_legend_handles_labels()[0] if isinstance(of, Axes) else marks(of) if of else None
     figure.legend(handles=lines, ncols=columns, **({"loc": "outside upper center"} | BESIDE | look))
     return figure
+
+
+def curves(
+    panel: Axes,
+    table: pd.DataFrame,
+    by: str,
+    x: str,
+    y: str,
+    looks: Mapping[Any, Look],
+    **more: Any,
+) -> None:
+    """Draw a line for each group of a table, in the order of the table, and name it."""
+    for name, part in table.groupby(by, sort=False):
+        panel.plot(part[x], part[y], label=name, **more, **looks[name])
 
 
 def plain_numbers(*axes: Axis) -> None:
@@ -382,16 +400,16 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     panels[n // 2].set_ylabel("reading [mT]")
     panels[-1 - n // 2].set_ylabel("configuration [mm]")
     figure.align_ylabels(panels)
-    lost = Line2D([], [], color="0.4", lw=3.6, alpha=0.2, label="truth, sensor failed")
-    line = Line2D([], [], color="0.4", lw=1.2, ls=":", label="failure")
-    return with_legend(figure, [*TRUTH_ESTIMATE, lost, line], columns=2, handlelength=1.6)
+    lost = TRUTH_ESTIMATE["truth"] | {"alpha": 0.2}
+    looks = {"truth, sensor failed": lost, "failure": {"color": "0.4", "lw": 1.2, "ls": ":"}}
+    return with_legend(figure, TRUTH_ESTIMATE | looks, columns=2, handlelength=1.6)
 
 
-TRUTH_ESTIMATE = (
-    Line2D([], [], color="0.4", lw=3.6, alpha=0.45, label="truth"),
-    Line2D([], [], color="0.4", lw=1.2, ls=(0, (4, 2)), label="estimate"),
-)
-"""Legend of curves over time."""
+TRUTH_ESTIMATE: dict[str, dict[str, Any]] = {
+    "truth": {"color": "0.4", "lw": 3.6, "alpha": 0.45},
+    "estimate": {"color": "0.4", "lw": 1.2, "ls": (0, (4, 2))},
+}
+"""Looks of curves over time."""
 
 
 def _over_time(
@@ -399,9 +417,10 @@ def _over_time(
 ) -> None:
     t, truth, mean, deviation = (part[name] for name in ("time_s", "truth", "mean", "std"))
     valid = truth.notna() if works is None else works
-    panel.plot(t, truth.where(valid), color=colour, lw=3.6, alpha=0.45, label=label)
-    panel.plot(t, truth.mask(valid), color=colour, lw=3.6, alpha=0.15)
-    panel.plot(t, mean, color=colour, lw=1.2, ls=(0, (4, 2)))
+    wide, dashed = (look | {"color": colour} for look in TRUTH_ESTIMATE.values())
+    panel.plot(t, truth.where(valid), label=label, **wide)
+    panel.plot(t, truth.mask(valid), **wide | {"alpha": 0.15})
+    panel.plot(t, mean, **dashed)
     panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
 
 
@@ -434,10 +453,11 @@ def stills(shapes: pd.DataFrame, parts: pd.DataFrame, beside: str = "") -> Figur
         bracket = f" ({off[beside]:.1f})" if beside else ""
         words = f"{time_s:.1f} s\n{off.drop(['truth', beside], errors='ignore').mean():.1f}{bracket} mm"
         figure.text(k % 3 * STILL_APART + 1 / 6, (rows - k // 3) * 2.3 / tall, words, ha="center", va="top")
-    both = {"truth": 1.0, "estimate": PALE}
-    lines = [Line2D([], [], color=BODY[0], lw=4, alpha=alpha, label=name) for name, alpha in both.items()]
-    lines += [Line2D([], [], ls="", label=words, **look) for _, _, words, look in looks]
-    return with_legend(figure, lines, columns=5, loc="upper center")
+    bodies = {
+        name: {"color": BODY[0], "lw": 4, "alpha": a} for name, a in (("truth", 1.0), ("estimate", PALE))
+    }
+    parts_of = {words: look for _, _, words, look in looks}
+    return with_legend(figure, bodies | parts_of, columns=5, loc="upper center")
 
 
 def _shapes(panel: Axes, now: pd.DataFrame) -> None:
@@ -451,7 +471,7 @@ def _parts(panel: Axes, now: pd.DataFrame, looks: Sequence[tuple[str, bool, str,
     """Draw magnets and sensors at one time."""
     for kind, works, _, look in looks:
         chosen = (now["part"] == kind) & (now["working"] == works)
-        panel.plot(*now.loc[chosen, XYZ].to_numpy().T, ls="", **look)
+        panel.plot(*now.loc[chosen, XYZ].to_numpy().T, **look)
 
 
 STILL_APART = 0.305
@@ -459,9 +479,9 @@ STILL_APART = 0.305
 PALE = 0.45
 """Opacity of estimated shapes in stills; in print they are as wide as the true ones, and slightly transparent."""
 STILLS: Sequence[tuple[str, bool, str, Look]] = (
-    ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6}),
-    ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5}),
-    ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0}),
+    ("magnet", True, "magnet", {"marker": "o", "color": GREEN, "ms": 6, "ls": ""}),
+    ("sensor", True, "sensor", {"marker": "s", "color": BLUE, "ms": 3.5, "ls": ""}),
+    ("sensor", False, "failed sensor", {"marker": "X", "color": PINK, "ms": 7, "mew": 0, "ls": ""}),
 )
 """Looks of parts in stills."""
 
@@ -505,11 +525,8 @@ def affine_over_time(series: pd.DataFrame) -> Figure:
     panels[0].set_ylabel("readings [mT]")
     panels[-1].set_xmargin(0.01)
     figure.align_ylabels(panels)
-    planes = [
-        Line2D([], [], color=colour, lw=2.4, label=f"at {at} mm")
-        for colour, at in zip(FOUR, (0, 100, 200), strict=False)
-    ]
-    return with_legend(figure, [*planes, *TRUTH_ESTIMATE], columns=3)
+    planes = {f"at {100 * k} mm": {"color": FOUR[k], "lw": 2.4} for k in range(3)}
+    return with_legend(figure, planes | TRUTH_ESTIMATE, columns=3)
 
 
 # The rig: Figs 8 to 11 of Baaij et al.
@@ -611,8 +628,8 @@ def trajectories(paths: pd.DataFrame, shapes: dict[str, np.ndarray]) -> Figure:
             panel.plot(*curve.T, color=SKY, lw=1.2, alpha=0.8)
         tip = paths[paths["recording"] == name][["tip_x_mm", "tip_y_mm", "tip_z_mm"]]
         panel.plot(*tip.to_numpy().T, color=BLUE, lw=1.2)
-    lines = [Line2D([], [], color=SKY, label="shape"), Line2D([], [], color=BLUE, label="path of the tip")]
-    return with_legend(figure, lines, columns=2, loc="upper center")
+    looks = {"shape": {"color": SKY}, "path of the tip": {"color": BLUE}}
+    return with_legend(figure, looks, columns=2, loc="upper center")
 
 
 MAP: Mapping[str, Look] = {
@@ -652,12 +669,15 @@ def landscape_and_estimates(
             _over_time(panels[name], pd.DataFrame(curves), colour)
         panels[name].set(title=name, ylabel="bend [mm]", xmargin=0)
     panels["a part"].set(xlim=zoom_s, xlabel="time [s]", title=f"{last}, a part of it")
-    colours = [Line2D([], [], color=c, lw=3, label=rf"$\Delta_{a}$") for a, c in (("x", BLUE), ("y", ORANGE))]
-    looks = {"truth": {"lw": 3, "alpha": 0.6}, "estimate": {"lw": 1.2, "ls": (0, (4, 2))}}
-    lines = [Line2D([], [], color="#767676", label=name, **look) for name, look in looks.items()]
+    looks: dict[str, Look] = {
+        r"$\Delta_x$": {"color": BLUE, "lw": 3},
+        r"$\Delta_y$": {"color": ORANGE, "lw": 3},
+        "truth": {"color": "#767676", "lw": 3, "alpha": 0.6},
+        "estimate": {"color": "#767676", "lw": 1.2, "ls": (0, (4, 2))},
+    }
     beside = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.15), **BESIDE}
-    panels[next(iter(series))].legend(handles=[*colours, *lines], ncols=4, **beside)
-    return with_legend(figure, [Line2D([], [], label=name, **look) for name, look in MAP.items()], columns=5)
+    panels[next(iter(series))].legend(handles=marks(looks), ncols=4, **beside)
+    return with_legend(figure, MAP, columns=5)
 
 
 def _landscape(panel: Axes, grid: pd.DataFrame, paths: list[pd.DataFrame], truth: np.ndarray) -> None:
@@ -682,20 +702,20 @@ def rig_stills(robot: Robot, times: np.ndarray, truth: np.ndarray, found: np.nda
     """Draw Fig. 11, lower row: the true segment opaque, the estimates ``[time, seed, 3]`` [m] pale."""
     figure, panels = _six_in_space([f"{time_s:.1f} s" for time_s in times])
     at = [robot.magnets[0].place, *(sensor.place for sensor in robot.sensors)]
+    looks: dict[str, Look] = {
+        "truth": {"color": BODY[0], "lw": 3},
+        "estimates": {"color": ORANGE, "lw": 3, "alpha": 0.45},
+        "magnet": {"color": GREEN, "marker": "o", "ls": ""},
+        "sensor": {"color": BLUE, "marker": "s", "ls": ""},
+    }
     for k, panel in enumerate(panels):
         for q in found[k]:
-            panel.plot(*(1e3 * robot.backbone(q)).T, color=ORANGE, lw=3, alpha=0.45)
-        panel.plot(*(1e3 * robot.backbone(truth[k])).T, color=BODY[0], lw=3)
+            panel.plot(*(1e3 * robot.backbone(q)).T, **looks["estimates"])
+        panel.plot(*(1e3 * robot.backbone(truth[k])).T, **looks["truth"])
         p = 1e3 * robot.poses(truth[k], at)[:, :3, 3]
-        panel.plot(*p[:1].T, "o", color=GREEN, ms=7)
-        panel.plot(*p[1:].T, "s", color=BLUE, ms=4)
-    lines = [
-        Line2D([], [], color=BODY[0], lw=3, label="truth"),
-        Line2D([], [], color=ORANGE, lw=3, alpha=0.45, label="estimates"),
-        Line2D([], [], color=GREEN, marker="o", ls="", label="magnet"),
-        Line2D([], [], color=BLUE, marker="s", ls="", label="sensor"),
-    ]
-    return with_legend(figure, lines, columns=4, loc="upper center")
+        panel.plot(*p[:1].T, ms=7, **looks["magnet"])
+        panel.plot(*p[1:].T, ms=4, **looks["sensor"])
+    return with_legend(figure, looks, columns=4, loc="upper center")
 
 
 # Bend tests and light bulb: Figs 9 and 8 of Mitchell et al.
@@ -733,10 +753,8 @@ def bend_tests(table: pd.DataFrame) -> Figure:
     for k, take in enumerate(takes):
         angle, direction = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
         own = table[table["take"] == take]
-        for method, look in looks.items():
-            line = own[own["method"] == method]
-            angle.plot(line["time_s"], line["bend_deg"], **look)
-            direction.plot(line["time_s"], line["direction_deg"], **look)
+        curves(angle, own, "method", "time_s", "bend_deg", looks)
+        curves(direction, own, "method", "time_s", "direction_deg", looks)
         angle.set(title=take_name(take), xlim=(0, end), ylim=(-4, 66), yticks=(0, 30, 60))
         direction.set(xlim=(0, end), ylim=(-40, 40), yticks=(-30, 0, 30))
         for panel in (angle, direction):
@@ -747,9 +765,8 @@ def bend_tests(table: pd.DataFrame) -> Figure:
             direction.set_ylabel("direction\n[°]")
         if k >= len(takes) - columns:
             direction.set_xlabel("time [s]")
-    lines = [Line2D([], [], label=method, **look) for method, look in looks.items()]
     figure.align_ylabels(panels)
-    return with_legend(figure, lines, columns=2)
+    return with_legend(figure, looks, columns=2)
 
 
 @style(**LEVELS)
@@ -801,14 +818,14 @@ def light_bulb(curves: pd.DataFrame, events: pd.DataFrame, threshold: float) -> 
         column[2].xaxis.set_major_locator(MultipleLocator(20))
     for panel, words in zip(panels[:, 0], ("bend angle [°]", "bend direction [°]", "ratio"), strict=True):
         panel.set_ylabel(words)
-    lines = [
-        Line2D([], [], color=ORANGE, label="paper's filter"),
-        Line2D([], [], color=BLUE, label="ratio of the fields"),
-        Line2D([], [], color="#767676", ls="--", label="threshold"),
-        Line2D([], [], color=YELLOW, lw=6, alpha=0.4, label="event"),
-    ]
+    looks: dict[str, Look] = {
+        "paper's filter": {"color": ORANGE},
+        "ratio of the fields": {"color": BLUE},
+        "threshold": {"color": "#767676", "ls": "--"},
+        "event": {"color": YELLOW, "lw": 6, "alpha": 0.4},
+    }
     figure.align_ylabels(panels)
-    return with_legend(figure, lines, columns=4)
+    return with_legend(figure, looks, columns=4)
 
 
 # The particle filter: Figs 3 to 5 of Mitchell et al.
@@ -944,12 +961,13 @@ def marker_boxes(boxes: pd.DataFrame, printed: dict[str, pd.DataFrame]) -> Figur
             title=f"{name}:\n{model}", xlabel=label, ylim=(0, None),
             xticks=range(len(steps)), xticklabels=steps,
         )  # fmt: skip
-    lines = [
-        *(Line2D([], [], color=colour, lw=6, alpha=0.4, label=m) for m, (colour, _) in MARKER_LOOKS.items()),
-        Line2D([], [], color="#1A1A1A", marker="D", mec="white", ls="", label="published median"),
-        Line2D([], [], color="#1A1A1A", marker="^", mec="white", ls="", label="published Q3"),
-    ]
-    return with_legend(figure, lines, columns=4)
+    looks = {marker: {"color": colour, "lw": 6, "alpha": 0.4} for marker, (colour, _) in MARKER_LOOKS.items()}
+    looks |= {"published median": PRINTED | {"marker": "D"}, "published Q3": PRINTED | {"marker": "^"}}
+    return with_legend(figure, looks, columns=4)
+
+
+PRINTED: dict[str, Any] = {"color": "#1A1A1A", "mec": "white", "ls": ""}
+"""Look of what is printed, on boxes."""
 
 
 def _box(panel: Axes, case: pd.Series, x: float, number: int, column: str, printed: pd.DataFrame) -> None:
@@ -965,7 +983,7 @@ def _box(panel: Axes, case: pd.Series, x: float, number: int, column: str, print
     printed_as = rf"{case['marker']} .*\b{min(number, 16)} {ending}"  # "16 segments and more"
     for row in printed[printed["row"].str.fullmatch(printed_as)].itertuples():
         value = row.value * (at / 100 if row.unit == "%" else 1)
-        panel.plot(x, value, "D" if row.quantity == "median" else "^", color="#1A1A1A", mec="white", ms=6)
+        panel.plot(x, value, marker="D" if row.quantity == "median" else "^", ms=6, **PRINTED)
 
 
 @style()
@@ -984,12 +1002,9 @@ def error_hull(hull: pd.DataFrame) -> Figure:
         panel.plot(*line.T, color="#1A1A1A", lw=2)
         panel.plot(*from_the_side(estimate, arm).T, color=ORANGE)
         panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
-    lines = [
-        Line2D([], [], color="#1A1A1A", label="arm"),
-        Line2D([], [], color=ORANGE, label="estimate"),
-        Line2D([], [], color="#A6D5F2", lw=6, label="within Q3 of the error"),
-    ]
-    return with_legend(figure, lines, columns=3)
+    looks = {"arm": {"color": "#1A1A1A"}, "estimate": {"color": ORANGE}}
+    looks["within Q3 of the error"] = {"color": "#A6D5F2", "lw": 6}
+    return with_legend(figure, looks, columns=3)
 
 
 def from_the_side(points: np.ndarray, arm: np.ndarray) -> np.ndarray:
@@ -1090,8 +1105,7 @@ def robots_of_others(shapes: pd.DataFrame) -> Figure:
     for panel in panels.ravel():
         panel.set_axis_off()
     for panel, (name, part) in zip(panels.ravel(), shapes.groupby("robot", sort=False), strict=False):
-        for look, own in part.groupby("look", sort=False):
-            panel.plot(own["x_mm"], own["z_mm"], **OTHERS[str(look)])
+        curves(panel, part, "look", "x_mm", "z_mm", OTHERS)
         low, high = part[["x_mm", "z_mm"]].min(), part[["x_mm", "z_mm"]].max()
         size, middle, bar = (high - low).max(), (high + low) / 2, part["bar_mm"].iloc[0]
         below = middle["z_mm"] - 0.62 * size
@@ -1100,8 +1114,8 @@ def robots_of_others(shapes: pd.DataFrame) -> Figure:
             panel.text(middle["x_mm"], below - 0.05 * size, f"{bar} mm", ha="center", va="top")
         x, z = (middle[axis] + 0.6 * size * np.array([-1, 1]) for axis in ("x_mm", "z_mm"))
         panel.set(xlim=x, ylim=(z[0] - 0.2 * size, z[1]), aspect="equal", title=name)
-    lines = [Line2D([], [], label=label, **OTHERS[look]) for look, label in OTHERS_WORDS.items()]
-    return with_legend(figure, lines, columns=4, loc="outside lower center")
+    looks = {label: OTHERS[look] for look, label in OTHERS_WORDS.items()}
+    return with_legend(figure, looks, columns=4, loc="outside lower center")
 
 
 OTHERS_WORDS = {"shape": "found", "measured": "measured", "sensors": "sensors", "drawn": "drawn by us"}
@@ -1191,7 +1205,11 @@ def chips_and_error(better: Improvement) -> Figure:
 @style()
 def noise_study(table: pd.DataFrame) -> Figure:
     """Draw errors [%] over the noise by sensor model; a column for each estimator, a row by number of segments."""
-    looks = {"network of the paper": (BLUE, "o"), "fast network": (GREEN, "s"), "multipole": (ORANGE, "D")}
+    names = ("network of the paper", "fast network", "multipole")
+    looks = {
+        name: {"color": c, "marker": m}
+        for name, c, m in zip(names, (BLUE, GREEN, ORANGE), "osD", strict=True)
+    }
     solvers, segments = table["solver"].unique(), table["n_b"].unique()
     figure, panels = plt.subplots(
         len(segments), len(solvers), figsize=(WIDTH, 1.0 + 2.1 * len(segments)),
@@ -1200,11 +1218,7 @@ def noise_study(table: pd.DataFrame) -> Figure:
     for row, n in zip(panels, segments, strict=True):
         for panel, solver in zip(row, solvers, strict=True):
             own = table[(table["solver"] == solver) & (table["n_b"] == n)]
-            for model, part in own.groupby("model", sort=False):
-                colour, marker = looks[str(model)]
-                panel.plot(
-                    "noise_mt", "mean_percent", data=part, marker=marker, color=colour, ms=4, label=model
-                )
+            curves(panel, own, "model", "noise_mt", "mean_percent", looks, ms=4)
             limit = own.drop_duplicates("noise_mt")
             panel.plot(limit["noise_mt"], limit["bound_percent"], "--", color="0.2", lw=1, label="bound")
             panel.set(xscale="log", yscale="log", xticks=[1e-4, 1e-2], xticklabels=["10⁻⁴", "10⁻²"])
@@ -1317,13 +1331,10 @@ def segment_errors(means: pd.DataFrame) -> Figure:
     )  # fmt: skip
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
-    grey: Look = {"color": "#767676", "marker": "o", "ls": ""}
-    more = [
-        Line2D([], [], label="calibrated", **grey),
-        Line2D([], [], mfc="none", label="not calibrated", **grey),
-    ]
-    handles = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in looks.items()]
-    return with_legend(figure, [*handles, *more], columns=2)
+    points = {name: {"color": colour, "marker": marker, "ls": ""} for name, (colour, marker) in looks.items()}
+    grey = {"color": "#767676", "marker": "o", "ls": ""}
+    points |= {"calibrated": grey, "not calibrated": grey | {"mfc": "none"}}
+    return with_legend(figure, points, columns=2)
 
 
 # Sensors that drift

@@ -20,6 +20,7 @@ import pandas as pd
 from repro.common import bad_input
 from repro_companion.show import KEY, ROW_COLUMNS, project_folder, results_folder
 
+PUBLISHED = Path("data/published/published.csv")
 COLUMNS = [
     *KEY, "published", "published_std", "regenerated", "regenerated_std", "n_seeds", "setting", "verdict", "weak",
     "near_edge", "best", "best_method", "note",
@@ -41,6 +42,19 @@ TIMING = "benchmark"
 """Setting of rows that are timings: these depend on the computer and are never compared."""
 
 
+def printed_numbers(path: Path) -> pd.DataFrame:
+    """Return all printed numbers of a file as texts."""
+    return _once(_read(path, [*KEY, "value", "std"], value=True, std=False), "lists")
+
+
+def published(paper: str, artefact: str = "") -> pd.DataFrame:
+    """Return printed numbers of a paper, or of one artefact in it: value and std, and both as they are printed."""
+    frame = printed_numbers(project_folder() / PUBLISHED)
+    own = frame[(frame["paper"] == paper) & (not artefact or frame["artefact"] == artefact)]
+    texts = own.reset_index(drop=True).rename(columns={"value": "printed", "std": "printed_std"})
+    return texts.assign(value=pd.to_numeric(texts["printed"]), std=pd.to_numeric(texts["printed_std"]))
+
+
 def scorecard(published: Path, files: Iterable[Path], *sources: Iterable[Path]) -> pd.DataFrame:
     """Return every printed number beside what ``*.rows.csv`` regenerate, as texts, with its verdict.
 
@@ -51,8 +65,7 @@ def scorecard(published: Path, files: Iterable[Path], *sources: Iterable[Path]) 
     ValueError
         If a table is broken, a number is regenerated twice or is not a printed one, or one that differs has no note.
     """
-    printed = _once(_read(published, [*KEY, "value", "std"], value=True, std=False), "lists")
-    printed = printed.rename(columns={"value": "published", "std": "published_std"})
+    printed = printed_numbers(published).rename(columns={"value": "published", "std": "published_std"})
     further = pd.concat([_rows([]), *map(_rows, sources)])
     about_files = further["setting"].str.startswith(AUTHORS) & (further["comparable"] != "false")
     ours = pd.concat([_rows(files), further[about_files]]).drop_duplicates(KEY, keep="last")
@@ -68,8 +81,7 @@ def scorecard(published: Path, files: Iterable[Path], *sources: Iterable[Path]) 
 
 def of_page(name: str, artefact: str) -> pd.DataFrame:
     """Return the lines of one artefact, from what a page has just written as ``<name>.rows.csv``."""
-    published = project_folder() / "data" / "published" / "published.csv"
-    card = scorecard(published, [results_folder() / f"{name}.rows.csv"])
+    card = scorecard(project_folder() / PUBLISHED, [results_folder() / f"{name}.rows.csv"])
     return card[card["artefact"] == artefact]
 
 

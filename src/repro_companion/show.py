@@ -64,17 +64,6 @@ def study(name: str) -> pd.DataFrame:
     return pd.read_csv(project_folder() / "data" / "studies" / f"{name}.csv")
 
 
-def published(paper: str, artefact: str) -> pd.DataFrame:
-    """Return printed numbers: row, quantity, unit, value and std, and both as they are printed."""
-    path = project_folder() / "data" / "published" / "published.csv"
-    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
-    frame = frame[(frame["paper"] == paper) & (frame["artefact"] == artefact)].reset_index(drop=True)
-    printed = frame.assign(printed=frame["value"], printed_std=frame["std"]).drop(
-        columns=["paper", "artefact"]
-    )
-    return printed.assign(value=pd.to_numeric(frame["value"]), std=pd.to_numeric(frame["std"]))
-
-
 def rows(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """Write numbers that a page regenerates for the scorecard, as ``<name>.rows.csv``; return what was written."""
     unknown = ", ".join(column for column in frame if column not in ROW_COLUMNS)
@@ -93,10 +82,15 @@ def rows(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     return save(full, f"{name}.rows")
 
 
-def ratio_interval(values: np.ndarray, reference: np.ndarray, resamples: int = 10_000) -> np.ndarray:
-    """Return the interval (95 %) ``[2, ...]`` of a ratio of means over draws ``[draw, ...]``: a paired bootstrap."""
+def mean_ratio(values: np.ndarray, reference: np.ndarray | float, resamples: int = 10_000) -> np.ndarray:
+    """Return a ratio of means over draws ``[draw, ...]`` and the ends of its interval (95 %) ``[3, ...]``.
+
+    The interval is a bootstrap, paired over the draws.
+    """
+    values, reference = np.broadcast_arrays(values, reference)
     again = np.random.default_rng(0).integers(len(values), size=(resamples, len(values)))
-    return np.quantile(values[again].mean(1) / reference[again].mean(1), [0.025, 0.975], axis=0)
+    ends = np.quantile(values[again].mean(1) / reference[again].mean(1), [0.025, 0.975], axis=0)
+    return np.stack([values.mean(0) / reference.mean(0), *ends])
 
 
 def number(value: object, digits: int = 3) -> str:

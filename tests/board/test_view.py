@@ -77,9 +77,8 @@ def test_long_recordings_are_thinned():
     ],
 )
 def test_what_cannot_be_shown_is_refused(changes, message):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(message)):
         view(ROBOT, Q, **({"times": TIMES, "label": ""} | changes))
-    assert message in str(caught.value)
 
 
 def test_script_is_the_one_recorded():

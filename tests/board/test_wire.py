@@ -270,15 +270,17 @@ def test_what_is_nothing_is_said():
     assert parser.remarks[-1] == "No frame and no lines of numbers arrive: are baud rate and format right?"
 
 
-def test_there_is_no_other_format_or_width():
-    with pytest.raises(
-        InputError, match="must be one of frames, csv, hall, millivolts, quaternions; instead received 'x'"
-    ):
-        Parser("x")
-    with pytest.raises(InputError, match="channels of hall must be 3; instead received 4"):
-        Parser("hall", 4)
-    with pytest.raises(InputError, match="channels of frames must be 1 to 118; instead received 0"):
-        Parser("frames", 0)
+@pytest.mark.parametrize(
+    ("given_format", "message"),
+    [
+        (("x",), "must be one of frames, csv, hall, millivolts, quaternions; instead received 'x'"),
+        (("hall", 4), "channels of hall must be 3; instead received 4"),
+        (("frames", 0), "channels of frames must be 1 to 118; instead received 0"),
+    ],
+)
+def test_there_is_no_other_format_or_width(given_format, message):
+    with pytest.raises(InputError, match=message):
+        Parser(*given_format)
 
 
 # ---- lines of the papers ----

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import repro
 from repro_companion.papers import baaij
+from repro_companion.scorecard import published
 
 from .sample import STORED
 
@@ -107,7 +108,7 @@ def test_rows_of_the_scorecard():
     errors = baaij.affine_errors(np.stack([truth, truth + 0.01]), np.zeros((2, 5, 9)), truth, u, [0, 1])
     ours = baaij.affine_best({True: np.outer([0, 0, 3], np.arange(4.0)), False: np.ones((1, 4))})
     table = baaij.affine_rows(errors, "setting", ours)
-    printed = pd.read_csv(ROOT / "data" / "published" / "published.csv").query("artefact == 'Section 4.4'")
+    printed = published("baaij2023", "Section 4.4")
     assert set(zip(table["quantity"], table["unit"], strict=True)) == set(
         zip(printed["quantity"], printed["unit"], strict=True)
     )

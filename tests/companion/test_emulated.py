@@ -84,12 +84,6 @@ def test_lost_and_wrong_frames_in_words(lost, wrong, words):
     assert f"Of 1,234 intact {words}" in emulated.faults_in_words(table)
 
 
-def test_cases_in_words():
-    said = emulated.cases_in_words(pd.DataFrame({"median": [101.2, 0.757, 1.23]}), 32)
-    for words in ("error of 101 mm", "32 poses the error is 0.76 mm", "whole motion is 1.2 mm"):
-        assert words in said
-
-
 def test_the_page_records_for_as_long_as_the_poses_take():
     page = (Path(__file__).parents[2] / "notebooks/own_robot.ipynb").read_text(encoding="utf-8")
     (seconds,) = re.findall(r"--hold-poses.*\n.*--duration (\d+)", page)

@@ -14,6 +14,7 @@ import repro
 from repro import InputError
 from repro_companion.papers import martin
 from repro_companion.run import project_folder
+from repro_companion.scorecard import published
 
 from .sample import ONE_DEVIATION
 
@@ -242,8 +243,7 @@ def test_chains_beside_what_table_ii_prints(table):
 def test_rows_of_the_scorecard(table):
     study = pd.read_csv(project_folder() / "data" / "studies" / "martin_calibration.csv")
     rows = martin.scorecard_rows(table, martin.best_errors(study)).set_index(["artefact", "row", "quantity"])
-    published = pd.read_csv(project_folder() / "data" / "published" / "published.csv")
-    assert len(rows) == (published["paper"] == "martin2022").sum() == 43
+    assert len(rows) == len(published("martin2022")) == 43
     own = table[(table["case"] == martin.RIGID_8) & (table["evaluation"] == martin.FILES)].iloc[1]
     assert own["marker"] == "M2"
     percent = rows.loc[("Table II", "M2 rigid-body", "q3"), "regenerated"]

@@ -13,8 +13,8 @@ import pytest
 import repro
 from repro_companion import show
 from repro_companion.papers import mitchell
-from repro_companion.scorecard import scorecard
-from repro_companion.show import KEY, project_folder, published
+from repro_companion.scorecard import published, scorecard
+from repro_companion.show import KEY, project_folder
 
 from .sample import STORED
 

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from repro import InputError
-from repro_companion.papers import released_networks, rig
+from repro_companion.papers import released_networks, rig, simulated_rig
 from repro_companion.papers.released_networks import load_released
 
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
@@ -113,7 +113,7 @@ def test_robots_move_as_the_rig_and_read_the_mean_of_both_seeds(tmp_path, monkey
             for j in range(rig.SENSORS):
                 (folder / f"torchscript_pl_db_{name}_s{j}_seed_{seed}.pt").write_bytes(content)
     bends = 1e-3 * np.random.default_rng(0).normal([1.0, 2.0, 0.0], [3.0, 4.0, 0.0], (400, 3))
-    monkeypatch.setattr(rig, "simulated", lambda name: rig.Recording(name, bends, bends))
+    monkeypatch.setattr(simulated_rig, "simulated", lambda name: rig.Recording(name, bends, bends))
     data = released_networks.robots()
     assert list(data.tests) == ["T0", "T1", "T2", "T3", "T5"]
     for part in data.tests.values():

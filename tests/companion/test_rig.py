@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from repro import GradientDescent, InputError, Sensing, track
 from repro.chain import place
-from repro_companion.papers import fetch, rig
-from repro_companion.show import published
+from repro_companion.papers import fetch, rig, simulated_rig, table_2
+from repro_companion.scorecard import published
 
 from .sample import STORED
 
-LOUD = SimpleNamespace(**(vars(rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
+LOUD = SimpleNamespace(**(vars(simulated_rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
 """Fifteen times the noise."""
 FIRST = SimpleNamespace(
-    **vars(rig.RIG)
+    **vars(simulated_rig.RIG)
     | {
         "places": {},
         "sensitivity": ((-1665.0, -1358.0, 4515.0), (-2461.0, 875.0, 4264.0), (-4111.0, -677.0, 2764.0)),
@@ -35,11 +35,11 @@ FIRST = SimpleNamespace(
 
 @pytest.fixture(scope="module")
 def t1():
-    return rig.simulated("T1")
+    return simulated_rig.simulated("T1")
 
 
 def test_simulated_recordings_are_those_of_the_first_edition():
-    t1 = rig.simulated("T1", FIRST)
+    t1 = simulated_rig.simulated("T1", FIRST)
     assert len(t1) == 3460
     np.testing.assert_array_equal(t1.u[::20], STORED["rig_u"])
     # The first edition had the place of the markers in single precision, so a last digit of a file may differ.
@@ -53,34 +53,37 @@ def test_the_pose_of_the_ring_gives_the_configuration():
     q[1, :2] = 1e-9  # nearly straight
     T = rig.robot().poses(q, [place("ring", 1, rig.MARKERS_AT)])[:, 0]
     xyzw = Rotation.from_matrix(T[:, :3, :3]).inv().as_quat()
-    ring = np.column_stack([rig._capture_axes(xyzw[:, :3]), xyzw[:, 3], rig._capture_axes(T[:, :3, 3])])
-    base = np.array([0, 0, 0, 1, *rig._capture_axes(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]])
+    turned = simulated_rig._capture_axes
+    ring = np.column_stack([turned(xyzw[:, :3]), xyzw[:, 3], turned(T[:, :3, 3])])
+    base = np.array([0, 0, 0, 1, *turned(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]])
     np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "law"), q, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", rig.TRAJECTORIES)
 def test_a_motion_is_taken_to_the_place_of_its_recording(name):
     """Means and deviations are those read off the networks, and elongation rises with bend as it does there."""
-    place, bend = rig.PLACES[name], np.random.default_rng(0).normal([1, 2], [3, 4], (500, 2))
-    matrix, shift = rig.placement(place, bend)
+    place, bend = simulated_rig.PLACES[name], np.random.default_rng(0).normal([1, 2], [3, 4], (500, 2))
+    matrix, shift = simulated_rig.placement(place, bend)
     at = bend @ matrix.T + shift
     x, y = ((bend - bend.mean(0)) / bend.std(0)).T
     np.testing.assert_allclose(at[:, 0], place.centre[0] - place.spread_x * x)
     np.testing.assert_allclose(at[:, 1], place.centre[1] - place.spread_y[0] * x + place.spread_y[1] * y)
     running = np.arange(500) > 100
-    elongation = rig.elongations(place, at, running)
+    elongation = simulated_rig.elongations(place, at, running)
     np.testing.assert_allclose(np.polyfit((at**2).sum(1), elongation, 1)[0], place.rise)
     assert elongation[running].mean() == pytest.approx(place.elongation)
 
 
 def test_a_simulated_recording_stands_at_its_place(t1):
     """Its elongation rises with bend as read off the networks, and sensors do not feel that."""
-    place, q = rig.PLACES["T1"], 1e3 * t1.q
+    place, q = simulated_rig.PLACES["T1"], 1e3 * t1.q
     np.testing.assert_allclose(q.mean(axis=0), [*place.centre, place.elongation], atol=0.05)
     assert q[:, 0].std() == pytest.approx(place.spread_x, abs=0.05)
     assert np.polyfit((q[:, :2] ** 2).sum(axis=1), q[:, 2], 1)[0] == pytest.approx(place.rise, abs=1e-3)
-    level = SimpleNamespace(**vars(rig.RIG) | {"places": {"T1": place._replace(elongation=5.5, rise=0.0)}})
-    longer = rig.simulated("T1", level)
+    level = SimpleNamespace(
+        **vars(simulated_rig.RIG) | {"places": {"T1": place._replace(elongation=5.5, rise=0.0)}}
+    )
+    longer = simulated_rig.simulated("T1", level)
     np.testing.assert_array_equal(longer.u, t1.u)
     assert 1e3 * longer.q[:, 2].mean() == pytest.approx(5.5, abs=0.05)
 
@@ -90,9 +93,9 @@ def files(tmp_path_factory):
     """The authors' two files of one trajectory, and what is in them."""
     folder, held = tmp_path_factory.mktemp("rig"), {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rig, "aligned", lambda q, u, name: held.update(u=u))
-        patch.setattr(rig, "configurations", lambda capture, name: held.update(capture=capture))
-        rig.simulated("T1")
+        patch.setattr(simulated_rig, "aligned", lambda q, u, name: held.update(u=u))
+        patch.setattr(simulated_rig, "configurations", lambda capture, name: held.update(capture=capture))
+        simulated_rig.simulated("T1")
     base, ring = held["capture"]
     header = {
         "Format Version": "1.23",
@@ -136,7 +139,7 @@ def released(files, tmp_path, monkeypatch):
     monkeypatch.setattr(fetch, "project_folder", lambda: tmp_path)
     listed = []
     for whole in rig.NAMES.values():
-        for path, of_t1 in zip(rig._raw(tmp_path / rig.FOLDER, whole), files, strict=True):
+        for path, of_t1 in zip(rig.raw_files(tmp_path / rig.FOLDER, whole), files, strict=True):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(of_t1.read_bytes())
             own = {
@@ -152,15 +155,15 @@ def released(files, tmp_path, monkeypatch):
 
 
 def test_with_recordings_in_the_released_form_all_rows_are_comparable(released, t1):
-    data = rig.load("recorded")
+    data = table_2.load("recorded")
     assert data.source == "recorded"
     np.testing.assert_array_equal(data.tests["T4"].u, t1.u)
     q, u = data.beginnings(15.0)
-    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 1.0, 15.0)
+    table = table_2.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 1.0, 15.0)
     none = pd.DataFrame(columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"]).astype(
         {"chaotic": bool}
     )
-    lines = rig.scorecard_rows(table, data, 15.0, none)
+    lines = table_2.scorecard_rows(table, data, 15.0, none)
     assert len(lines) == 37
     assert lines["comparable"].all()
     assert lines["setting"].str.startswith("authors' files").all()
@@ -168,9 +171,9 @@ def test_with_recordings_in_the_released_form_all_rows_are_comparable(released, 
 
 
 def test_changed_recordings_are_the_readers_own(released):
-    path = rig._raw(released, rig.NAMES["T3"])[1]
+    path = rig.raw_files(released, rig.NAMES["T3"])[1]
     path.write_text(path.read_text(encoding="utf-8") + "\n", encoding="utf-8")
-    assert rig.load("recorded").source == "own"
+    assert table_2.load("recorded").source == "own"
 
 
 @pytest.mark.parametrize(
@@ -216,7 +219,7 @@ def test_a_ring_that_is_lost_for_long_is_refused():
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_loud_readings_are_aligned_like_quiet_ones(seed):
-    quiet, loud = rig.simulated("T1", seed=seed), rig.simulated("T1", LOUD, seed=seed)
+    quiet, loud = simulated_rig.simulated("T1", seed=seed), simulated_rig.simulated("T1", LOUD, seed=seed)
     # Both have one motion; how much of it is cut says where the readings were taken to begin.
     shifts = range(-5, 6)
     n = min(len(quiet), len(loud)) - 10
@@ -230,7 +233,7 @@ def test_a_false_start_is_refused_even_by_a_whole_period(monkeypatch, late):
     right = rig.start_of_readings
     monkeypatch.setattr(rig, "start_of_readings", lambda u, name: max(right(u, name) + late, 0))
     with pytest.raises(InputError, match="alignment of synthetic_T1 must be that of the first inflation"):
-        rig.simulated("T1")
+        simulated_rig.simulated("T1")
 
 
 def test_a_change_of_six_times_the_noise_is_a_start():
@@ -251,7 +254,7 @@ def data(t1):
         name: replace(t1, name=name, q=t1.q[:80] + 1e-3 * k, u=t1.u[:80])
         for k, name in enumerate(rig.TRAJECTORIES)
     }
-    return rig.Data(t1, tests, "simulated")
+    return table_2.Data(t1, tests, "simulated")
 
 
 def test_errors_are_those_of_eq_13(data):
@@ -260,8 +263,8 @@ def test_errors_are_those_of_eq_13(data):
         :, None, None, None
     ]  # once in four frames: 1 in the mean square
     found = {"known": q[:, :, None] + off * [1e-3, -2e-3, 0.0]}
-    table = rig.errors(data, found, u[:, :, None] + off * [3.0, 0.0, 6.0], 1.0)
-    cells = table[table["row"] == rig.row_name("T4")].set_index(["quantity", "unit"])["error"]
+    table = table_2.errors(data, found, u[:, :, None] + off * [3.0, 0.0, 6.0], 1.0)
+    cells = table[table["row"] == table_2.row_name("T4")].set_index(["quantity", "unit"])["error"]
     whole = data.tests["T4"]
     assert cells["delta_x", "mm"] == pytest.approx(1.0)
     assert cells["delta_y", "%"] == pytest.approx(100 * 2e-3 / np.ptp(whole.q[:, 1]))
@@ -272,12 +275,12 @@ def test_errors_are_those_of_eq_13(data):
 def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     q, u = data.beginnings(1.0)
     seeds = np.array([0.0, 1.0, 5.0])[:, None]  # their mean is 2, their deviation the root of 7
-    table = rig.errors(data, {"known": q[:, :, None] + 1e-3 * seeds}, u[:, :, None] + seeds, 1.0)
+    table = table_2.errors(data, {"known": q[:, :, None] + 1e-3 * seeds}, u[:, :, None] + seeds, 1.0)
     moved = pd.DataFrame(
-        [("published", rig.row_name("T1"), "delta_x", 1.0, 1.5, 2.24, True)],
+        [("published", table_2.row_name("T1"), "delta_x", 1.0, 1.5, 2.24, True)],
         columns=["step", "row", "quantity", "lowest", "middle", "highest", "chaotic"],
     )
-    lines = rig.scorecard_rows(table, data, 1.0, moved)
+    lines = table_2.scorecard_rows(table, data, 1.0, moved)
     key = ["row", "quantity", "unit"]
     printed = pd.concat([published("baaij2023", a) for a in ("Table 2", "Abstract", "Section 5.5")])
     assert set(map(tuple, lines[key].to_numpy())) <= set(map(tuple, printed[key].to_numpy()))
@@ -291,16 +294,16 @@ def test_the_rows_are_the_printed_ones_and_not_comparable(data):
     mean = lines.loc[relative, "regenerated"].mean()
     assert lines.loc[lines["artefact"] == "Abstract", "regenerated"].item() == pytest.approx(mean)
     noted = lines[lines["note"].str.contains("decided by rounding: 32 other starts give 1 to 2.24 mm")]
-    assert set(noted["row"]) == {rig.row_name("T1")}
+    assert set(noted["row"]) == {table_2.row_name("T1")}
 
 
 def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
-    sensing = Sensing(rig.robot(), rig.networks(data, 0), earth=rig.EARTH)
+    sensing = Sensing(rig.robot(), table_2.networks(data, 0), earth=rig.EARTH)
     q, u = (values[:, 2] for values in data.beginnings(2.0))
     known = np.where([False, False, True], q, np.nan)
-    descent = GradientDescent(sensing, rig.STEP_SIZE, rig.MOMENTUM, rig.ITERATIONS)
+    descent = GradientDescent(sensing, table_2.STEP_SIZE, table_2.MOMENTUM, table_2.ITERATIONS)
     found = track(descent, u, q[0], rate_hz=rig.RATE_HZ, known=known).q
-    k, grid, (path, half) = rig.largest_jump([sensing], q, u, found[:, None])
+    k, grid, (path, half) = table_2.largest_jump([sensing], q, u, found[:, None])
     bends = 1e3 * found[:, :2]
     assert k == 1 + np.linalg.norm(np.diff(bends, axis=0), axis=1).argmax()
     tried = path[["delta_x_mm", "delta_y_mm"]].to_numpy()
@@ -322,17 +325,17 @@ def test_methods_are_means_over_the_seeds_beside_those_on_networks(data):
     q, u = data.beginnings(1.0)
     seeds = np.array([1e-3, 2e-3, 6e-3])[:, None]
     found = {"known": q[:, :, None] + seeds, "ours": (q - 4e-3)[:, :, None]}
-    table = rig.errors(data, found, np.stack([u] * 3, 2), 1.0)
+    table = table_2.errors(data, found, np.stack([u] * 3, 2), 1.0)
     own = [
         study("authors' networks", "filter", [[1, 2], [3, 4]]),
         study("random rig 0", "filter", [[8, 8], [8, 8]]),
     ]
-    lines = rig.methods(table, pd.concat(own))
+    lines = table_2.methods(table, pd.concat(own))
     assert lines["recording"].tolist() == [name for name in rig.TRAJECTORIES for _ in "xy"]
     np.testing.assert_allclose(lines[["known", "ours"]], [[3.0, 4.0]] * 12)
     assert lines["filter"].dropna().tolist() == [1, 2, 3, 4]
-    assert [*rig.methods(table, own[0][:0])] == ["recording", "quantity", "known", "ours"]
-    shown = rig.with_axes(lines)
+    assert [*table_2.methods(table, own[0][:0])] == ["recording", "quantity", "known", "ours"]
+    shown = table_2.with_axes(lines)
     assert [*shown] == ["bend", "known", "ours", "filter"]
     assert shown["bend"].tolist()[:3] == ["T0, Δx", "T0, Δy", "T1, Δx"]
 
@@ -352,18 +355,18 @@ def test_a_judgement_has_geometric_means_the_worst_recording_and_medians_of_rand
         ]
         parts.append(study(robot, "filter", factor * np.array([[1.0, 4.0], [4.0, 1.0]]), **shares))
         parts.append(study(robot, "filter, own biases", [[8.0, 8.0], [8.0, 8.0]]))
-    table = rig.judgement(pd.concat(parts))
+    table = table_2.judgement(pd.concat(parts))
     assert table["robot"].tolist() == ["networks", "3 random rigs"]
     np.testing.assert_allclose(table.loc[0].iloc[1:].astype(float), [1.0, 1.0, 4.0, 9.0, 2.0, 20.0])
     assert table.loc[1, "of_descent"] == pytest.approx(4.0)
-    assert [*table] == [*rig.JUDGEMENT]
+    assert [*table] == [*table_2.JUDGEMENT]
 
 
 def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
     printed = published("baaij2023", "Table 2")
     q, u = data.beginnings(1.0)
-    table = rig.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 2.0, 1.0)
-    found = rig.claims(printed, {"here": table}).set_index("claim")
+    table = table_2.errors(data, {"known": q[:, :, None] + 1e-3}, u[:, :, None] + 2.0, 1.0)
+    found = table_2.claims(printed, {"here": table}).set_index("claim")
     assert found.loc["readings: mean 3.1", "Table 2"] == "3.1"
     assert found.loc["readings: 0.6 to 4.6", "Table 2"] == "0.6 to 4.6"
     assert found.loc["bend: mean 4.5", "Table 2"] == "4.5"
@@ -373,7 +376,7 @@ def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
 
 def test_bends_away_from_a_recording_are_outside(data):
     q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
-    assert rig.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
+    assert table_2.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
 
 
 def test_ranges_say_where_rounding_decides():
@@ -385,7 +388,7 @@ def test_ranges_say_where_rounding_decides():
         ],
         columns=["step", "row", "seed", "start", "delta_x", "delta_y"],
     )
-    found = rig.ranges_over_starts(study).set_index("quantity")
+    found = table_2.ranges_over_starts(study).set_index("quantity")
     assert found.loc["delta_x", ["lowest", "middle", "highest"]].tolist() == pytest.approx([1.5, 1.7, 2.4])
     assert found["chaotic"].to_dict() == {"delta_x": True, "delta_y": False}
 
@@ -393,14 +396,14 @@ def test_ranges_say_where_rounding_decides():
 def test_recordings_that_are_asked_for_must_be_there(monkeypatch, tmp_path):
     monkeypatch.setenv("REPRO_DATA_DIR", str(tmp_path))
     with pytest.raises(InputError, match="none of T0, T1, T2, T3, T4, T5"):
-        rig.load("recorded")
+        table_2.load("recorded")
 
 
 def test_the_first_seven_tenths_of_t5_train_and_all_else_tests(monkeypatch):
     """Eleven frames: seven and four; of T4 all are tests."""
     frames = np.arange(33.0).reshape(11, 3)
-    monkeypatch.setattr(rig, "simulated", lambda name: rig.Recording(name, frames, frames))
-    data = rig.load("simulated")
+    monkeypatch.setattr(table_2, "simulated", lambda name: rig.Recording(name, frames, frames))
+    data = table_2.load("simulated")
     assert data.train.u[:, 0].tolist() == [0, 3, 6, 9, 12, 15, 18]
     for name, test in data.tests.items():
         np.testing.assert_array_equal(test.q, frames if name == "T4" else frames[7:])
@@ -409,5 +412,5 @@ def test_the_first_seven_tenths_of_t5_train_and_all_else_tests(monkeypatch):
 def test_a_landscape_has_root_mean_squares_that_are_clipped():
     """Readings that are 0, 3 and 6 mV off have the root of 15; with 400 mV more it would be above 100."""
     low, high = np.array([[0.0, 0.0], [2e-3, 4e-3]])
-    grid = rig.landscape(lambda q: [0, 3, 6] + 1e5 * q[:, [1]], np.zeros(3), np.zeros(3), low, high, 2)
+    grid = table_2.landscape(lambda q: [0, 3, 6] + 1e5 * q[:, [1]], np.zeros(3), np.zeros(3), low, high, 2)
     np.testing.assert_allclose(grid, [[0, 0, 15**0.5], [2, 0, 15**0.5], [0, 4, 100], [2, 4, 100]])

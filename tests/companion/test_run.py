@@ -128,10 +128,17 @@ def test_commas_and_ranges_are_swept(text, kind, values):
     assert tool.grid_of({"x": Parameter("x", kind, "", "")}, [("x", text)], "a") == {"x": values}
 
 
-@pytest.mark.parametrize("text", ["1,1", "2:2", ""])
-def test_values_of_a_sweep_differ(text):
-    with pytest.raises(InputError):
-        tool.grid_of({"x": Parameter("x", "int", "", "")}, [("x", text)], "a")
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (("1,1", "2:2"), "one value or more, which differ"),
+        (("1,,2", ",1", "1, ", ""), "parameter x of a must be a value between any two commas"),
+    ],
+)
+def test_values_of_a_sweep_are_there_and_differ(texts, message):
+    for text in texts:
+        with pytest.raises(InputError, match=message):
+            tool.grid_of({"x": Parameter("x", "int", "", "")}, [("x", text)], "a")
 
 
 def test_the_key_follows_all_that_a_result_depends_on(root):
@@ -244,9 +251,3 @@ def test_workers_of_a_scheduler_run_a_sweep(root):
         tool.sweep(
             tool.points_of(page, {"seeds": [[7]]}, folder, root), jobs=1, scheduler="tcp://127.0.0.1:9"
         )
-
-
-@pytest.mark.parametrize("text", ["1,,2", ",1", "1, ", ""])
-def test_no_value_of_a_sweep_is_empty(text):
-    with pytest.raises(InputError, match="parameter x of a must be a value between any two commas"):
-        tool.grid_of({"x": Parameter("x", "int", "", "")}, [("x", text)], "a")

@@ -18,6 +18,7 @@ from repro_companion.scorecard import (
     counts,
     is_error,
     kinds,
+    published,
     scorecard,
     summary,
     write,
@@ -43,6 +44,13 @@ def card_of(folder: Path, printed: list[dict], ours: list[dict], *sources: list[
 @pytest.fixture(scope="module")
 def card() -> pd.DataFrame:
     return scorecard(PUBLISHED, sorted(RESULTS.glob("*.rows.csv")))
+
+
+def test_printed_numbers_keep_their_digits():
+    table = published("baaij2023", "Table 1").set_index(["row", "quantity"])
+    one = table.loc[("n_b=1", "delta_x_1")]
+    assert (one["value"], one["std"], one["printed"], one["printed_std"]) == (1.7, 1.0, "1.7", "1.0")
+    assert len(table) == 13 * 10 - 6 - 3
 
 
 def test_the_committed_scorecard_comes_out_byte_for_byte(card, tmp_path):

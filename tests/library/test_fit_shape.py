@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -225,29 +227,24 @@ def test_more_segments_fit_a_rod_better():
     assert sizes[0] > 3 * sizes[1] > 9 * sizes[2]
 
 
-def test_what_cannot_be_used_is_refused():
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        (lambda T: T[:, :, 0, 0], {}, "poses of fit_shape must be of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3); "
+         "instead received shape (3, 2)."),
+        (lambda T: T[:, :1], {}, "at of fit_shape must be given unless there are 2 bodies, one on the tip of each"),
+        (lambda T: T, {"at": [(1, 0.11)]}, "at of fit_shape must be one place for each of 2 bodies; instead"),
+        (lambda T: T, {"at": [(1, 0.11), (2, 0.2)]}, "must be between 0 and 110 mm along segment 2"),
+        (lambda T: T * np.reshape([1.0, 1.1, 1.0], (3, 1, 1, 1)), {}, "a matrix that is none in row 2, body 1"),
+        (lambda T: T, {"noise": (1e-3, 0.0)}, "Input noise of fit_shape must be positive"),
+        (lambda T: T[:, :1], {"at": [(0, 0.0)]}, "a body beyond the base"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_refused(change, options, message):
     robot = Robot([SEGMENT] * 2)
     T = robot.poses(shapes(robot, 3), tips(robot))
-    with pytest.raises(InputError) as error:
-        fit_shape(robot, T[:, :, 0, 0])
-    expected = "of shape (t, n, 4, 4), (t, n, 7) or (t, n, 3); instead received shape (3, 2)."
-    assert str(error.value) == f"Input poses of fit_shape must be {expected}"
-    with pytest.raises(
-        InputError, match="at of fit_shape must be given unless there are 2 bodies, one on the tip of each"
-    ):
-        fit_shape(robot, T[:, :1])
-    with pytest.raises(
-        InputError, match="at of fit_shape must be one place for each of 2 bodies; instead .* 1"
-    ):
-        fit_shape(robot, T, at=[(1, 0.11)])
-    with pytest.raises(InputError, match="must be between 0 and 110 mm along segment 2"):
-        fit_shape(robot, T, at=[(1, 0.11), (2, 0.2)])
-    with pytest.raises(InputError, match="a matrix that is none in row 2, body 1"):
-        fit_shape(robot, np.where(np.arange(3)[:, None, None, None] == 1, 1.1, 1.0) * T)
-    with pytest.raises(InputError, match="Input noise of fit_shape must be positive"):
-        fit_shape(robot, T, noise=(1e-3, 0.0))
-    with pytest.raises(InputError, match="a body beyond the base"):
-        fit_shape(robot, T[:, :1], at=[(0, 0.0)])
+    with pytest.raises(InputError, match=re.escape(message)):
+        fit_shape(robot, change(T), **options)
 
 
 def test_poses_in_another_unit_or_frame_are_refused():

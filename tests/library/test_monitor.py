@@ -352,25 +352,16 @@ def test_a_reading_is_missing_or_left_out_but_not_both(method):
     assert f"{lost.sum()} of {u.size} readings missing, {left_out.sum()} left out" in repr(found)
 
 
-def test_infinity_is_a_missing_reading(method):
-    u = U.copy()
-    u[50:, 3] = np.inf
-    missing = np.where(np.isinf(u), np.nan, u)
-    found, expected = (track(method, x, times=TIMES) for x in (u, missing))
-    np.testing.assert_array_equal(found.q, expected.q)
-    assert found.missing.sum() == 150
-    assert set(found.status) == {"consistent"}
-
-
 def test_what_an_array_does_not_say_is_missing_as_in_a_table(method):
-    """A row of zeros, and the end of the range."""
+    """A row of zeros, the end of the range, and infinity."""
     robot = TWO.replaced(sensors=[replace(sensor, range=200.0) for sensor in TWO.sensors])
     u = U.copy()
-    u[50], u[60, 3] = 0.0, 200.0
-    fit = type(method)(robot)
-    found, expected = (track(fit, x, times=TIMES) for x in (u, np.where(robot.missing(u) > 0, np.nan, u)))
+    u[50], u[60, 3], u[70:, 3] = 0.0, 200.0, np.inf
+    fit, missing = type(method)(robot), (robot.missing(u) > 0) | np.isinf(u)
+    found, expected = (track(fit, x, times=TIMES) for x in (u, np.where(missing, np.nan, u)))
     np.testing.assert_array_equal(found.q, expected.q)
-    assert found.missing[[50, 60]].tolist() == [8, 1]
+    assert found.missing[[50, 60, 199]].tolist() == [8, 1, 1]
+    assert set(found.status[70:]) == {"consistent"}
 
 
 def test_fewer_readings_than_unknowns_are_told_without_a_motion_model():
@@ -502,18 +493,6 @@ def test_a_filter_without_any_reading_says_so(method):
     status = track(method, missing, times=TIMES).status
     assert set(status[80:120]) == {"undetermined"}
     assert set(status[:80]) == {"consistent"}
-
-
-def test_a_reading_at_the_end_of_its_range_is_missing():
-    sensors = [replace(sensor, range=7.0) for sensor in CHIPS.sensors]
-    robot = CHIPS.replaced(sensors=sensors)
-    times, _, u = moving(CHIPS, rate=25.0)
-    beyond = np.abs(u) >= 7.0 - 0.0025  # half a step
-    assert 0.05 < beyond.mean() < 0.5
-    found = track(LevenbergMarquardt(robot), np.clip(u, -7.0, 7.0), times=times)
-    expected = track(LevenbergMarquardt(CHIPS), np.where(beyond, np.nan, u), times=times)
-    np.testing.assert_array_equal(found.missing, expected.missing)
-    np.testing.assert_allclose(found.q, expected.q, atol=1e-12)
 
 
 def test_a_part_that_is_found_to_stand_still_ends_the_search():

@@ -79,6 +79,9 @@ def test_the_slopes_of_the_tip_are_those_of_its_position():
         np.testing.assert_allclose(slopes[:, c], central, rtol=0, atol=1e-8)
 
 
+ONE = Robot([ConstantCurvature(0.1, 0.02)])
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -113,25 +116,21 @@ def test_the_slopes_of_the_tip_are_those_of_its_position():
         ),
         (lambda: Robot([ConstantCurvature(0.1, 0.02)]).tip([0, 0, np.nan]), "q of Robot must be finite"),
         (lambda: Robot([ConstantCurvature(0.1, 0.02)]).tip("abc"), "q of Robot must be numbers"),
+        (lambda: Robot(3), "segments of Robot must be .*; instead received int"),
+        *(
+            (
+                lambda x=x: ONE.poses(np.zeros(3), x),
+                "places of Robot must be a (list of places|place: that of a part)",
+            )
+            for x in (3, [(1, 0.0)], [np.eye(4)], point_on(1, 0.0))
+        ),
+        (
+            lambda: load_calibration(3, ONE),
+            "calibration of load_calibration must be a path; instead received int",
+        ),
+        (lambda: ONE.check(samples=2.5), "samples of check must be a whole number"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
-
-
-def test_what_is_no_segment_and_no_place_is_refused_in_words():
-    robot = Robot([ConstantCurvature(0.1, 0.02)])
-    with pytest.raises(InputError, match="segments of Robot must be .*; instead received int"):
-        Robot(3)
-    for places in (3, [(1, 0.0)], [np.eye(4)], point_on(1, 0.0)):
-        with pytest.raises(
-            InputError, match="places of Robot must be a (list of places|place: that of a part)"
-        ):
-            robot.poses(np.zeros(3), places)
-    with pytest.raises(
-        InputError, match="calibration of load_calibration must be a path; instead received int"
-    ):
-        load_calibration(3, robot)
-    with pytest.raises(InputError, match="samples of check must be a whole number"):
-        robot.check(samples=2.5)

@@ -19,7 +19,7 @@ from training_sets import AffineNetwork
 
 from repro import InputError, LevenbergMarquardt
 from repro.networks import TorchModel, load_network
-from repro_companion.papers import rig
+from repro_companion.papers import table_2
 from scripts import train as script
 
 from .robots import STORED
@@ -190,7 +190,7 @@ def test_an_estimator_takes_a_torch_model():
     ("kind", "name", "origin"),
     [
         (AffineNetwork, "affine_sensor4_seed1", ("data_seed",)),
-        (rig.RigNetwork, "rig_sensor2_seed0", ("recording", "recording_seed")),
+        (table_2.RigNetwork, "rig_sensor2_seed0", ("recording", "recording_seed")),
     ],
 )
 def test_a_network_is_trained_once_and_written_with_the_manifest_of_the_committed_one(

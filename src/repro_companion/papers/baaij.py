@@ -31,7 +31,7 @@ from repro.estimators.base import Estimate
 from repro.networks import Network, load_network
 from repro.tolerances import Tolerances
 from repro_companion.scorecard import COMPARED, kinds
-from repro_companion.show import project_folder, ratio_interval, sentences
+from repro_companion.show import mean_ratio, project_folder, sentences
 
 LENGTH, RADIUS = 0.110, 0.022
 """Length of a segment, and distance of its actuators from the backbone [m]."""
@@ -77,14 +77,14 @@ def networks(n_segments: int, seed: int, *, earth: bool = False) -> list[Network
     return [network(n_segments, segment, seed, earth=earth) for segment in range(1, n_segments + 1)]
 
 
-def lemniscate(n_segments: int, *, half: bool = False, steps: int = STEPS) -> np.ndarray:
-    """Return the lemniscate T3, or its half T2, of every segment ``[steps, 3 n_segments]`` [m]."""
-    s, turns = np.linspace(0, 1, steps), math.pi if half else 2 * math.pi
+def lemniscate(n_segments: int, *, steps: int = STEPS) -> np.ndarray:
+    """Return the lemniscate T3 of every segment ``[steps, 3 n_segments]`` [m]."""
+    turn = 2 * math.pi * np.linspace(0, 1, steps)
     columns = []
     for i in range(n_segments):
         phase = 2 * math.pi * i / n_segments
-        columns += [BEND * np.sin(2 * turns * s + phase), BEND * np.sin(turns * s + phase)]
-        columns += [2.75e-3 * (1 + np.sin(2 * math.pi * s + phase))]
+        columns += [BEND * np.sin(2 * turn + phase), BEND * np.sin(turn + phase)]
+        columns += [2.75e-3 * (1 + np.sin(turn + phase))]
     return np.stack(columns, axis=-1)
 
 
@@ -235,8 +235,7 @@ def gain(best: pd.DataFrame) -> pd.DataFrame:
             errors = own.pivot_table(index="draw", columns="calibrated", values="error_percent")
             errors = errors.reindex(columns=[True, False]).to_numpy()
             columns = np.stack([errors.mean(0), errors.std(0, ddof=1)], axis=1).ravel()
-            interval = ratio_interval(errors, errors[:, ::-1])[:, 0]  # of the first column over the second
-            lines.append((row, quantity, *columns, columns[0] / columns[2], *interval))
+            lines.append((row, quantity, *columns, *mean_ratio(*errors.T)))
     names = [f"{method}_percent{of}" for method in ("calibrated", "uncalibrated") for of in ("", "_std")]
     return pd.DataFrame(lines, columns=["row", "quantity", *names, "ratio", "ratio_low", "ratio_high"])
 

@@ -21,7 +21,8 @@ from repro import Arm, calibrate_imus, calibrated, pcc_extended, rigid_body
 from repro.common import require
 from repro.estimators.imu import ShapeModel
 from repro_companion.run import project_folder
-from repro_companion.show import number, published, ratio_interval, sentences
+from repro_companion.scorecard import published
+from repro_companion.show import KEY, mean_ratio, number, sentences
 
 # The arm and Table I
 
@@ -437,13 +438,18 @@ def hull(moved: Motion, trials: Sequence[SyntheticTrial], every: int = 32) -> pd
     off = [shape(x.orientations[::every], arm("pcc"), arcs) - x.truth(moved, arcs, every) for x in trials]
     radius = np.percentile(1e3 * np.linalg.norm(np.concatenate(off), axis=-1), 75, axis=0)
     both = np.concatenate([first.truth(moved, arcs), shape(first.orientations, arm("pcc"), arcs)], axis=-1)
-    names = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
     for mode in dict.fromkeys(first.mode.tolist()):
         samples = np.flatnonzero(first.mode == mode)
         k = samples[len(samples) // 4]
-        pose = pd.DataFrame(1e3 * both[k], columns=names).assign(mode=mode, time_s=first.time_s[k])
-        parts.append(pose.assign(arc_mm=1e3 * arcs, radius_mm=radius))
+        parts.append(in_hull(mode, first.time_s[k], arcs, both[k], radius))
     return pd.concat(parts, ignore_index=True)
+
+
+def in_hull(mode: str, time_s: float, arcs: np.ndarray, both: np.ndarray, radius: np.ndarray) -> pd.DataFrame:
+    """Return true and estimated points ``[n, 6]`` [m] of one pose with the radius [mm] around them, as a table."""
+    columns = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
+    pose = pd.DataFrame(1e3 * both, columns=columns).assign(mode=mode, time_s=time_s)
+    return pose.assign(arc_mm=1e3 * arcs, radius_mm=radius)
 
 
 # The scorecard
@@ -492,13 +498,12 @@ def scorecard_rows(
     ``best`` has the errors of our method by distance along the arm [mm]. What is not synthetic is comparable.
     """
     data = project_folder() / "data"
-    printed = pd.read_csv(data / "published" / "published.csv").query("paper == 'martin2022'")
     rate = pd.read_csv(data / "benchmark.csv").set_index("capability")["figure"][TIME]
     values = table.pivot_table(
         index=["evaluation", "draw"], columns=["case", "marker"], values=["median_mm", "q75_mm"]
     )
     lines, known = [], set(table["case"])
-    for row in printed[["artefact", "row", "quantity", "unit"]].to_dict("records"):
+    for row in published("martin2022")[KEY[1:]].to_dict("records"):
         cases, marker = cases_of(row["row"], known)
         if row["quantity"] == "time":
             lines.append(row | {"regenerated": 8000 / rate, "setting": "benchmark", "note": TIME_NOTE})
@@ -612,12 +617,10 @@ BASELINE, BEST = "PCC-16", "exact arcs + all"
 """Names of methods in the study ``martin_calibration``: the paper's model as it is, and ours."""
 
 
-def calibrated_errors(
-    trial: SyntheticTrial, model: ShapeModel, per_imu: bool | None, first_s: float = 60.0
-) -> pd.DataFrame:
+def calibrated_errors(trial: SyntheticTrial, model: ShapeModel, per_imu: bool | None) -> pd.DataFrame:
     """Return errors [mm] after the first minute; on it the frame, or headings and mountings too, are calibrated."""
     made, q, origin = arm("pcc"), trial.orientations, np.zeros(3)
-    first = trial.time_s - trial.time_s[0] < first_s
+    first = trial.time_s - trial.time_s[0] < 60.0
     if per_imu is not None:
         found = calibrate_imus(q[first][::10], trial.points[first][::10, :2], model, made, per_imu=per_imu)
         q, origin = calibrated(q, found), found.translation
@@ -635,10 +638,9 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
     lines = []
     for method, mode, point in medians:
         ours, base = (medians[name, mode, point].to_numpy() for name in (method, BASELINE))
-        low, high = ratio_interval(ours, base, 2000)
-        ratio = {"ratio": ours.mean() / base.mean(), "ratio_low": low, "ratio_high": high, "draws": len(ours)}
-        lines.append({"method": method, "mode": mode, "point": point, "median_mm": ours.mean()} | ratio)
-    return pd.DataFrame(lines)
+        lines.append((method, mode, point, ours.mean(), *mean_ratio(ours, base, 2000), len(ours)))
+    names = ["method", "mode", "point", "median_mm", "ratio", "ratio_low", "ratio_high", "draws"]
+    return pd.DataFrame(lines, columns=names)
 
 
 CALIBRATED = """

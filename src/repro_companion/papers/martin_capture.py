@@ -378,9 +378,8 @@ def hull(found: Recording) -> pd.DataFrame:
     for name, share in {"low": 0.05, "middle": 0.5, "high": 0.95}.items():
         k = int(np.abs(height - np.quantile(height, share)).argmin())
         estimate = martin.shape(rows.orientations[k : k + 1], arm("pcc"), arcs)[0]
-        columns = [f"{of}{axis}_mm" for of in ("", "estimate_") for axis in "xyz"]
-        pose = pd.DataFrame(1e3 * np.hstack([through_markers(rows, k, arcs), estimate]), columns=columns)
-        parts.append(pose.assign(mode=name, time_s=rows.time_s[k], arc_mm=1e3 * arcs, radius_mm=radius))
+        both = np.hstack([through_markers(rows, k, arcs), estimate])
+        parts.append(martin.in_hull(name, rows.time_s[k], arcs, both, radius))
     return pd.concat(parts, ignore_index=True)
 
 

@@ -39,7 +39,7 @@ from repro_companion import show
 from repro_companion.papers import baaij
 from repro_companion.papers.fetch import listed_files, states
 from repro_companion.run import project_folder, recordings_folder
-from repro_companion.show import number, ratio_interval, sentences
+from repro_companion.show import mean_ratio, number, sentences
 
 LENGTH = 15e-3
 """Length of the arc from sensor to magnet, section III-A [m]; 14 mm in the released simulations."""
@@ -285,7 +285,7 @@ def gain(table: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
     for name in CURVES:
         own = table[table["curve"] == name].pivot_table(index="seed", columns="setting", values="rmse_mm")
         a, b = own[method].dropna().to_numpy(), own[other].dropna().to_numpy()
-        lines.append((name, method, other, a.mean() / b.mean(), *ratio_interval(a, b)))
+        lines.append((name, method, other, *mean_ratio(a, b)))
     return pd.DataFrame(lines, columns=["curve", "setting", "than", "ratio", "ratio_low", "ratio_high"])
 
 
@@ -987,7 +987,7 @@ def over_time(runs: Sequence[Run], points: int = 200) -> pd.DataFrame:
 # Fig. 8
 
 
-QUIET_S, BASELINE_S, LEAST_S = 10.0, 10.0, 0.1
+QUIET_S = 10.0
 
 
 def light_files() -> dict[str, Hall]:

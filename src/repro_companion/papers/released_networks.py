@@ -14,7 +14,7 @@ import numpy as np
 from repro import Sensing
 from repro.common import bad_input, require
 from repro.networks import Network, network_of
-from repro_companion.papers import rig
+from repro_companion.papers import rig, simulated_rig, table_2
 from repro_companion.run import recordings_folder
 
 FOLDER = Path("baaij2023_networks", "statedicts")
@@ -77,7 +77,7 @@ def load_sensing(trajectory: str, seed: int) -> Sensing:
     return Sensing(rig.robot(), [load_released(path) for path in files], earth=rig.EARTH)
 
 
-def robots() -> rig.Data:
+def robots() -> table_2.Data:
     """Return synthetic recordings whose readings are the mean over the networks of each recording, and noise.
 
     The motion is that of the simulated rig. T4 is left out.
@@ -86,8 +86,8 @@ def robots() -> rig.Data:
     for number, name in enumerate(rig.TRAJECTORIES):
         if name in LEFT_OUT:
             continue
-        q = rig.simulated(name).q
+        q = simulated_rig.simulated(name).q
         u = np.mean([load_sensing(name, seed)(q) for seed in SEEDS], axis=0)
         noise = NOISE_MV * np.random.default_rng(number).standard_normal(u.shape)
         recordings[name] = rig.Recording(name, q, u + noise)
-    return rig.divided(recordings, "networks")
+    return table_2.divided(recordings, "networks")

@@ -35,7 +35,7 @@ from repro.chain import point_on
 from repro.tolerances import Tolerances
 from repro_companion.papers import baaij, martin
 from repro_companion.papers.baaij import ELONGATION, LENGTH, RADIUS
-from repro_companion.show import number, ratio_interval, sentences
+from repro_companion.show import mean_ratio, number, sentences
 
 MOTIONS = ("constant curvature", "affine curvature", "rod under load")
 ELEMENTS = 44
@@ -434,9 +434,8 @@ def errors(
 def mean_errors(table: pd.DataFrame) -> pd.DataFrame:
     """Return the mean tip error over the robots with the ends of its bootstrap interval (95 %)."""
     wide = table.pivot_table(index=KEYS, columns="draw", values="tip_mm", sort=False)
-    errors = wide.to_numpy().T
-    low, high = ratio_interval(errors, np.ones_like(errors), RESAMPLES)
-    return pd.DataFrame({"tip_mm": wide.mean(axis=1), "low_mm": low, "high_mm": high}).reset_index()
+    found = mean_ratio(wide.to_numpy().T, 1.0, RESAMPLES)
+    return pd.DataFrame(found.T, wide.index, columns=["tip_mm", "low_mm", "high_mm"]).reset_index()
 
 
 def ratios(table: pd.DataFrame) -> pd.DataFrame:
@@ -444,9 +443,9 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
     over, healthy = "2 IMUs", table[table["calibrated"] & (table["condition"] == CONDITIONS[0])]
     wide = healthy.pivot_table(index=KEYS[:2], columns="draw", values="tip_mm", sort=False)
     below = wide.xs(over, level=1).loc[wide.index.get_level_values(0)]
-    low, high = ratio_interval(wide.to_numpy().T, below.to_numpy().T, RESAMPLES)
-    ratio = wide.mean(axis=1) / below.mean(axis=1).to_numpy()
-    return pd.DataFrame({"ratio": ratio, "low": low, "high": high}).drop(over, level=1).reset_index()
+    found = mean_ratio(wide.to_numpy().T, below.to_numpy().T, RESAMPLES)
+    ratio = pd.DataFrame(found.T, wide.index, columns=["ratio", "low", "high"])
+    return ratio.drop(over, level=1).reset_index()
 
 
 def straight_errors(motions: Mapping[str, np.ndarray]) -> pd.DataFrame:
