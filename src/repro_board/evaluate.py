@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from repro.check import mirrors_in_words
-from repro.common import Array, bad_input, require, whole
+from repro.common import Array, bad_input, new, require, whole
 from repro.estimators.calibration import Calibration, calibrate, calibration_text, load_calibration
 from repro.estimators.kalman import KalmanFilter
 from repro.estimators.least_squares import LevenbergMarquardt
@@ -37,7 +37,6 @@ from repro_board.report import (
     calibration_report,
     csv,
     errors_table,
-    new,
     notes_in_words,
     picture,
     some,

@@ -43,15 +43,6 @@ class Report:
         return self.text
 
 
-def new(path: Path | str, owner: str) -> Path:
-    """Return the path of what is to be written; refuse one that is there."""
-    path = Path(path)
-    expected = "one that does not exist yet"
-    require(not (path.exists() or path.is_symlink()), "output", owner, expected, path.name)
-    require(path.parent.is_dir(), "output", owner, "in a folder that exists", path)
-    return path
-
-
 def written(path: Path, text: str, owner: str) -> str:
     """Write a text, whole or not at all, and say so."""
     with whole(path, owner) as part:

@@ -297,11 +297,11 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_pa
     empty = read_recording(written(tmp_path / "b.rec", [b"no sample"]))
     before = sorted(tmp_path.iterdir())
     for source, output, options, message in [
-        (recording, "there.csv", {}, r"output of the export must be a new file"),
+        (recording, "there.csv", {}, r"output of the export must be one that does not exist"),
         (recording, "a.csv", {"to": "xlsx"}, r"to of the export must be one of csv, parquet, mcap"),
-        (recording, "none/a.csv", {}, r"output of the export must be a file that can be made"),
+        (recording, "none/a.csv", {}, r"output of the export must be in a folder that exists"),
         (recording, "a.csv", {"estimates": tmp_path / "late.csv"}, "estimates of the export must be left out"),
-        (recording, "a.mcap", {"estimates": tmp_path / "none.csv"}, r"estimates of none\.csv must be a table of"),
+        (recording, "a.mcap", {"estimates": tmp_path / "none.csv"}, r"estimates of none\.csv must be a file that"),
         (recording, "a.mcap", {"estimates": tmp_path / "other.csv"}, r"estimates of other\.csv must be a table of"),
         (recording, "a.mcap", {"estimates": tmp_path / "late.csv"}, r"time_s of late\.csv must be within"),
         (empty, "a.csv", {}, r"recording of b\.rec must be one with samples"),
