@@ -423,7 +423,9 @@ def live(
     """
     from repro_board import live as tool
 
-    require(browser or not browser_socket, "browser_socket", "live", "left out without --browser", browser_socket)
+    require(
+        browser or not browser_socket, "browser_socket", "live", "left out without --browser", browser_socket
+    )
     line = tool.Line(port, baud, format or None)
     done = tool.live(
         line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2 as chi_square
 
-from repro.common import Array, require, whole
+from repro.common import Array, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
 from repro_board.record import Note

@@ -205,7 +205,9 @@ WRITERS = {
 
 @pytest.mark.parametrize("output", ["robot.toml", ".", "none/x"])
 @pytest.mark.parametrize("words", WRITERS)
-def test_every_command_refuses_what_it_cannot_write_before_it_works(words, output, folder, monkeypatch, capsys):
+def test_every_command_refuses_what_it_cannot_write_before_it_works(
+    words, output, folder, monkeypatch, capsys
+):
     """A file that is there, a folder, and one in no folder; no search and no port is begun before."""
     monkeypatch.chdir(folder)
     before = sorted(folder.iterdir())
