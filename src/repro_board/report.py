@@ -17,6 +17,7 @@ from scipy.stats import chi2 as chi_square
 from repro.common import Array, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
+from repro.tolerances import in_words
 from repro_board.record import Note
 
 _COVERED = 0.95
@@ -98,7 +99,7 @@ def calibration_report(found: Calibration, q: Array, u: Array) -> str:
         np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in (found.described, found.robot)
     )
     kept = [
-        name
+        in_words(found.robot, name)
         for name, now, prior in zip(found.names, found.deviation, found.tolerances, strict=True)
         if now > 0.9 * prior
     ]
