@@ -228,8 +228,8 @@ def start_of_readings(u: np.ndarray, name: str) -> int:
     """Return the row in which readings leave rest, for a change of more than six times the noise, at least 1 mV.
 
     It is the first of the rise to that change: the rows before it differ by less than three times the noise, or by
-    less than 1 mV. The released rule, 1 mV from the first row, takes noise for a start where readings are noisier than
-    the authors'.
+    less than 1 mV. The released rule, 1 mV from the first row, takes noise for a start where readings are noisier
+    than the authors'.
     """
     rest, limit = (
         np.median(u[:10], axis=0),
