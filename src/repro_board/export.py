@@ -25,6 +25,8 @@ _LATE_S, _LATE_SHARE = 1.0, 1e-3
 """By so much, and this share of the recording, estimates may lie outside it."""
 POSES = 20
 """So many places of the backbone are written for each estimate."""
+_DECIMALS = 5
+"""Of their positions [m] and quaternions: 0.01 mm is less than any camera resolves, and more digits treble a file."""
 Json = dict[str, Any]
 
 
@@ -228,8 +230,8 @@ def _backbones(unix_s: Array, robot: Robot, q: Array) -> Iterator[tuple[int, Jso
     places = even_places(robot)
     for k in np.flatnonzero(np.isfinite(q).all(1)).tolist():
         T = robot.poses(q[k], places)
-        turns = Rotation.from_matrix(T[:, :3, :3]).as_quat().round(10).tolist()
-        points = T[:, :3, 3].round(10).tolist()
+        turns = Rotation.from_matrix(T[:, :3, :3]).as_quat().round(_DECIMALS).tolist()
+        points = T[:, :3, 3].round(_DECIMALS).tolist()
         poses = [
             {
                 "position": dict(zip("xyz", p, strict=True)),
