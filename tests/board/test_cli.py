@@ -184,6 +184,43 @@ def test_wrong_input_ends_with_2_and_one_line(words, said, folder, monkeypatch, 
     assert line.startswith("repro")
 
 
+@pytest.mark.parametrize(
+    ("rows", "words", "said"),
+    [
+        (
+            1,
+            "calibrate few.csv poses.csv -o new.json",
+            "pose of poses.csv, line 2, must be within the readings",
+        ),
+        (
+            1,
+            "calibrate few.csv --self -o new.json",
+            "there in three rows or more, for --self; instead received 1 of",
+        ),
+        (
+            2,
+            "evaluate few.csv captured.csv -o new",
+            "given with the readings, three or more; instead received 2",
+        ),
+        (
+            9,
+            "calibrate nothing.csv --self -o new.json",
+            "in three rows or more, for --self; instead received 0 of B1x",
+        ),
+    ],
+)
+def test_too_few_readings_are_refused_in_words(rows, words, said, folder, tmp_path, monkeypatch, capsys):
+    robot = repro.load_robot(folder / "robot.toml")
+    u = pd.DataFrame(np.ones((rows, 12)), columns=robot.names).assign(time_s=0.1 * np.arange(rows))
+    shutil.copytree(folder, tmp_path / "a")
+    monkeypatch.chdir(tmp_path / "a")
+    u.to_csv("few.csv", index=False)
+    u.assign(**dict.fromkeys(robot.names, "nan")).to_csv("nothing.csv", index=False)
+    assert main([*words.split(), "--robot", "robot.toml"]) == 2
+    assert said in (line := capsys.readouterr().err)
+    assert len(line.splitlines()) == 1
+
+
 AT_ROBOT = "--robot robot.toml"
 WRITERS = {
     "check robot.toml --improve -o": "output",
