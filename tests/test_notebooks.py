@@ -12,6 +12,7 @@ import pytest
 
 from repro.common import InputError
 from repro_companion.run import declared
+from repro_companion.show import checked
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -93,6 +94,24 @@ def test_a_page_outside_of_the_project_stops_in_its_first_cell(page, tmp_path, m
     parameters, first, *_ = sources(page, "code")
     with pytest.raises(InputError, match="must be inside a checkout of the project; instead received"):
         exec(f"{parameters}\n{first}", {})
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_refuses_a_text_for_a_number_in_its_first_cell(page):
+    """As plain papermill hands it on; what the notebook itself declares is allowed, and whole numbers for any."""
+    parameters, first, *_ = sources(page, "code")
+    given: dict[str, object] = {}
+    exec(parameters, given)
+    assert checked(page, given) == ROOT
+    for name, one in declared(ROOT / "notebooks" / f"{page}.ipynb").items():
+        if one.kind in ("int", "float"):
+            words = (
+                rf"parameter {name} of {page}\.ipynb must be {one.kind}: a .*number.*; instead received '1'\."
+            )
+            with pytest.raises(InputError, match=words):
+                exec(f"{parameters}\n{name} = '1'\n{first}", {})
+            if one.kind == "float" and one.allows(1):
+                checked(page, given | {name: 1})
 
 
 @pytest.mark.parametrize("page", PAGES)

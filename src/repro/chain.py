@@ -445,8 +445,9 @@ class Chain:
 
     def check_place(self, where: Place, name: str) -> None:
         """Refuse what is no place, or one on a segment that does not exist, or beyond its end."""
-        expected = "a place: that of a part, or one from point_on(segment, at)"
-        require(isinstance(where, Place), name, "Robot", expected, repr(where))
+        if not isinstance(where, Place):  # to print one takes longer than all its poses
+            expected = "a place: that of a part, or one from point_on(segment, at)"
+            raise bad_input(name, "Robot", expected, repr(where))
         expected = f"on a segment from 0 (base) to {len(self.segments)}"
         require(where.segment <= len(self.segments), name, "Robot", expected, where.segment)
         reach = self.segments[where.segment - 1].length if where.segment else 0.0
@@ -515,7 +516,8 @@ class Chain:
             at :math:`p` moves by :math:`\nu + \omega \times p`.
         """
         q = self.check_q(q)
-        require(isinstance(places, Iterable), "places", "Robot", "a list of places", repr(places))
+        if not isinstance(places, Iterable):
+            raise bad_input("places", "Robot", "a list of places", repr(places))
         for where in places:
             self.check_place(where, "places")
         chain, frame = self.frames(places)

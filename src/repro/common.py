@@ -123,6 +123,15 @@ FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """A disk that is full, or refuses: nothing that a user gave is wrong then."""
 
 
+def new(path: str | os.PathLike[str], owner: str, name: str = "output") -> Path:
+    """Return the path of what is to be written; refuse one that is there."""
+    path = Path(path)
+    expected = "one that does not exist yet"
+    require(not (path.exists() or path.is_symlink()), name, owner, expected, path.name or path)
+    require(path.parent.is_dir(), name, owner, "in a folder that exists", path)
+    return path
+
+
 @contextmanager
 def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iterator[Path]:
     """Give a place beside a file or folder to write it, which takes its name when all went well.
@@ -147,7 +156,7 @@ def whole(path: str | os.PathLike[str], owner: str, *, new: bool = True) -> Iter
         With the path, if the disk is full or refuses.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    part = path.parent / f".{path.name}.{secrets.token_hex(4)}.part"  # "." has no name
     try:
         yield part
         if new and (path.exists() or path.is_symlink()):  # another process may have made it meanwhile

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -210,6 +211,19 @@ def priors_of(robot: Assembly, t: Tolerances) -> dict[str, float]:
         priors |= {f"segment {k + 1} {name}": std for name, std in zip(_LINK, stds, strict=True)}
     priors |= dict.fromkeys([f"Earth field along {x}" for x in "xyz"], t.earth)
     return {name: std for name, std in priors.items() if std}
+
+
+def in_words(robot: Assembly, parameter: str) -> str:
+    """Return a parameter as sentences call it: that of a sensor begins with the name in the robot file.
+
+    Examples
+    --------
+    >>> robot = Assembly([Link(0.1)], sensors=[Sensor(1, 0.05, name="B7")])
+    >>> in_words(robot, "sensor 1 gain"), in_words(robot, "magnet 1 along")
+    ('B7 gain', 'magnet 1 along')
+    """
+    own = re.match(r"sensor (\d+)", parameter)
+    return robot.part_names[int(own[1]) - 1] + parameter[own.end() :] if own else parameter
 
 
 def _along(robot: Assembly, where: Place, far: float) -> tuple[float, float]:

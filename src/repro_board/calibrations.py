@@ -17,7 +17,7 @@ from repro.estimators.least_squares import LevenbergMarquardt
 from repro.estimators.track import track
 from repro.parts import Imu
 from repro.robot import Robot
-from repro.tolerances import Tolerances, placed
+from repro.tolerances import Tolerances, in_words, placed
 from repro_board.cleaning import SPIKE, alike, orientations, unwrapped
 
 TOLERANCES = Tolerances(sensor_gain=0.05, sensor_offset=0.5, earth=0.05)
@@ -98,7 +98,7 @@ def by_motion(robot: Robot, u: Array) -> tuple[Calibration, str]:
     estimate, tolerance = rows @ fitted.z, np.sqrt(np.square(rows) @ start**2)
     C = rows @ np.linalg.inv((fitted.information - prior) / spread + prior) @ rows.T
     C = C / np.outer(tolerance, tolerance)
-    _judge(list(changes), np.abs(estimate) / tolerance, spread)
+    _judge([in_words(robot, name) for name in changes], np.abs(estimate) / tolerance, spread)
     moved = placed(robot, dict(zip(changes, estimate.tolist(), strict=True)))
     quality = (spread, len(motion.u), math.sqrt(before), math.sqrt(spread))
     exact = np.zeros([sum(sensor.axes for sensor in robot.sensors)] * 2)
@@ -183,7 +183,7 @@ def _told(found: Calibration, n: int, left_out: int) -> str:
         words = ", not determined" if now > 0.9 * before else ""
         words += "; DOUBT: beyond twice what was assumed" if abs(value) > 2 * before else ""
         change = f"{scale * value:+.2g} ± {scale * now:.2g} {unit}"
-        lines.append(f"  {name}: {change} (before ± {scale * before:.2g}){words}")
+        lines.append(f"  {in_words(found.robot, name)}: {change} (before ± {scale * before:.2g}){words}")
     lines.append("The places of magnets and sensors are taken as described: only measured poses tell these.")
     return "\n".join(lines)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-from repro.common import FULL_DISK, InputError, require, whole
+from repro.common import FULL_DISK, InputError, new, require, whole
 
 if TYPE_CHECKING:
     from repro.improve import Improvement
@@ -107,6 +107,11 @@ def check(
     require(positive, "target_mm", "repro check", "positive", target_mm)
     for name, given in (("output", output), ("picture", picture)):
         require(improve or given is None, name, "repro check", "left out without --improve", given)
+        if given is not None:  # a search takes its time
+            new(given, "repro check", name)
+    kinds = (".png", ".svg", ".pdf")
+    drawn = picture is None or picture.suffix in kinds
+    require(drawn, "picture", "repro check", f"one of {', '.join(kinds)}", picture)
     arm, target = load_robot(robot), None if target_mm is None else target_mm / 1e3
     if improve:
         with shown_in_place() as show:
@@ -130,8 +135,6 @@ def write_improvement(found: Improvement, robot: Path, output: Path | None, pict
     if output is not None and found.changes:
         write_improved(robot, found.robot, output)
     if picture is not None and found.by_chips:
-        kinds = (".png", ".svg", ".pdf")
-        require(picture.suffix in kinds, "picture", "repro check", f"one of {', '.join(kinds)}", picture)
         with whole(picture, "repro check") as part:
             found.plot().figure.savefig(part, format=picture.suffix[1:])
     for path, there in ((output, bool(found.changes)), (picture, bool(found.by_chips))):
@@ -420,11 +423,16 @@ def live(
     """
     from repro_board import live as tool
 
+    require(
+        browser or not browser_socket, "browser_socket", "live", "left out without --browser", browser_socket
+    )
     line = tool.Line(port, baud, format or None)
-    return tell(tool.live(
+    done = tool.live(
         line, robot, tool.Method(estimator, calibration, failed or (), grown), output=output, estimates=estimates,
         browser_socket=browser_socket if browser else None, duration_s=duration,
-    ))  # fmt: skip
+    )  # fmt: skip
+    print(done)
+    return int(not done.found["estimates"])
 
 
 @app.command(group=BOARD, sort_key=3)

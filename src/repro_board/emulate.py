@@ -236,8 +236,8 @@ def built(robot: Robot, tolerances: float, *, seed: int = 0) -> Robot:
 
     All magnets are stronger by one factor, that of their material. IMUs stay as they are.
     """
-    fits = 0 <= tolerances < math.inf and not (tolerances and robot.model)
-    require(fits, "tolerances", "emulate", "0 or more, and 0 for a robot of networks", tolerances)
+    fits = 0 <= tolerances <= 100 and not (tolerances and robot.model)
+    require(fits, "tolerances", "emulate", "0 to 100, and 0 for a robot of networks", tolerances)
     if not tolerances or not robot.magnets:
         return robot
     stds = {name: std for name, std in priors_of(robot, Tolerances()).items() if "moment" not in name}

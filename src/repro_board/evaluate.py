@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from repro.check import mirrors_in_words
-from repro.common import Array, bad_input, require, whole
+from repro.common import Array, bad_input, new, require, whole
 from repro.estimators.calibration import Calibration, calibrate, calibration_text, load_calibration
 from repro.estimators.kalman import KalmanFilter
 from repro.estimators.least_squares import LevenbergMarquardt
@@ -37,7 +37,6 @@ from repro_board.report import (
     calibration_report,
     csv,
     errors_table,
-    new,
     notes_in_words,
     picture,
     some,
@@ -241,6 +240,9 @@ def calibrate_by_motion(
     owner = "repro calibrate"
     path, arm = new(output, owner), _robot(robot, owner)
     u = _readings(arm, readings, rate_hz)
+    there = np.isfinite(u).sum(axis=0)
+    received = f"{there.min()} of {arm.names[int(there.argmin())]}"
+    require(there.min() > 2, "readings", owner, "there in three rows or more, for --self", received)
     found, text = by_motion(arm, np.array(u))
     return Report("\n".join([*u.remarks, text, written(path, calibration_text(found), owner)]), found)
 
@@ -326,7 +328,9 @@ def _together(
     """Clean readings and poses, and find the lag between their clocks."""
     owner = "repro evaluate"
     for name, given in (("readings", readings.times), ("poses", measured.times)):
-        require(given is not None and len(given) > 2, "times", owner, f"given with the {name}", "none")
+        received = "none" if given is None else len(given)
+        enough = given is not None and len(given) > 2
+        require(enough, "times", owner, f"given with the {name}, three or more", received)
     t, times, q, u = (np.array(x) for x in (readings.times, measured.times, measured.q, readings))
     complete(q, "poses", owner, robot.coordinates, 3)
     complete(u, "readings", owner, robot.names, 3)

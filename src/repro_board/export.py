@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from repro.chain import Place, point_on
-from repro.common import Array, bad_input, require, whole
+from repro.common import Array, bad_input, new, require, whole
 from repro.robot import Robot
 from repro.robot_file import load_robot
 from repro_board.record import Recording, read_recording, readings_of
@@ -25,6 +25,8 @@ _LATE_S, _LATE_SHARE = 1.0, 1e-3
 """By so much, and this share of the recording, estimates may lie outside it."""
 POSES = 20
 """So many places of the backbone are written for each estimate."""
+_DECIMALS = 5
+"""Of their positions [m] and quaternions: 0.01 mm is less than any camera resolves, and more digits treble a file."""
 Json = dict[str, Any]
 
 
@@ -85,7 +87,7 @@ def export(
         form in FORMS, "to", "the export", f"one of {', '.join(FORMS)} (--to, or the file's ending)", form
     )
     require(estimates is None or form == "mcap", "estimates", "the export", "left out, but for mcap", form)
-    require(not output.exists(), "output", "the export", "a new file", output)
+    new(output, "the export")
     recording = read_recording(path)
     robot = load_robot(robot) if isinstance(robot, str | Path) else robot
     table, remarks = table_of(recording, robot)
@@ -170,6 +172,7 @@ def _notes(recording: Recording, times: Array) -> dict[str, Array]:
 def estimates_table(path: str | Path, times: Array | None = None) -> pd.DataFrame:
     """Return a table that ``repro track`` wrote; refuse what is none, or is not of readings at these times [s]."""
     path = Path(path)
+    require(path.is_file(), "estimates", path.name, "a file that exists", path)
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
@@ -227,8 +230,8 @@ def _backbones(unix_s: Array, robot: Robot, q: Array) -> Iterator[tuple[int, Jso
     places = even_places(robot)
     for k in np.flatnonzero(np.isfinite(q).all(1)).tolist():
         T = robot.poses(q[k], places)
-        turns = Rotation.from_matrix(T[:, :3, :3]).as_quat().round(10).tolist()
-        points = T[:, :3, 3].round(10).tolist()
+        turns = Rotation.from_matrix(T[:, :3, :3]).as_quat().round(_DECIMALS).tolist()
+        points = T[:, :3, 3].round(_DECIMALS).tolist()
         poses = [
             {
                 "position": dict(zip("xyz", p, strict=True)),

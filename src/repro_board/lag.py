@@ -218,7 +218,7 @@ def fine_lag(sensing: Sensing, motion: Signal, t: Array, u: Array, near: float) 
 def held_lag(robot: Robot, q: Array, windows: Array, t: Array, u: Array, remarks: list[str]) -> float:
     """Return by how much held poses are later by the clock of the readings [s]; zero where that goes as well."""
     n, whole = sum(sensor.axes for sensor in robot.sensors), np.isfinite(np.hstack([q, windows])).all(axis=1)
-    if whole.sum() < _FEWEST or not n:
+    if whole.sum() < _FEWEST or not n or len(t) < 2:
         return 0.0
     drawn, windows = robot.sensing()(q[whole])[:, :n], windows[whole]
     x = np.insert(without_spikes(robot, q, u, t, [])[:, :n], 0, 1.0, axis=1)

@@ -19,15 +19,28 @@ from rich.live import Live
 from rich.text import Text
 
 import repro
-from repro.common import InputError, bad_input, require, whole
+from repro.common import InputError, bad_input, new, require, whole
 from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
 from repro_board.keys import Keys, keyboard
 from repro_board.record import Writer
-from repro_board.session import BOOT_TEXT, Follower, Port, Session, no_readings, notes, open_port, summary
+from repro_board.report import Report
+from repro_board.session import (
+    BOOT_TEXT,
+    Follower,
+    Port,
+    Session,
+    no_readings,
+    notes,
+    open_port,
+    sentences,
+    summary,
+)
 from repro_board.view import SILENT_S, Moment, PageServer, Row
 from repro_board.wire import Parser, is_text, raw
+
+NOTHING = "No readings of this robot came, so nothing was estimated."
 
 
 class Summary(NamedTuple):
@@ -237,11 +250,14 @@ def live(
     browser_socket: int | None = None,
     duration_s: float = math.inf,
     stop: threading.Event | None = None,
-) -> str:
-    """Estimate the shape of a robot from a port until ``stop`` is set, and return counts and remarks at the end."""
+) -> Report:
+    """Estimate the shape of a robot from a port until ``stop`` is set, and report counts and remarks at the end."""
     require(duration_s > 0, "duration", "live", "above zero [s]", duration_s)
     for name, path in (("output", output), ("estimates", estimates)):
-        require(path is None or not path.exists(), name, "live", "a new file", path)
+        if path is not None:
+            new(path, "live", name)
+    another = estimates is None or estimates != output
+    require(another, "estimates", "live", "another file than the recording", estimates)
     follower = _follower(robot, method)
     follower.warm()
     writer = None
@@ -262,7 +278,8 @@ def live(
         raise InputError(session.refusal)
     counted = [f"{name}: {text}" for name, text in summary(session).items()]
     noted = [f"notes: {writer.notes} in {writer.path.name}"] if writer and writer.notes else []
-    return "\n".join([*counted, *noted, *notes(session)])
+    nothing = [] if session.own["estimates"] else [NOTHING, *sentences(session)]
+    return Report("\n".join([*counted, *noted, *notes(session), *nothing]), session.counters())
 
 
 def _follower(path: str | Path, method: Method) -> Follower:

@@ -332,14 +332,19 @@ def _times(samples: list[Sample], arrived: Array, remarks: list[str]) -> tuple[A
     start, times = float(arrived.min(initial=math.inf)) if len(arrived) else 0.0, None
     board_us = [sample.time_us for sample in samples]
     if samples and None not in board_us:
-        times, ppm = board_times(arrived - start, np.array(board_us) / 1e6)
+        times, ppm, jumps = board_times(arrived - start, np.array(board_us) / 1e6)
         if times is None:
             remarks.append("the times that the board sends do not pass as the computer's, and were not used")
         elif _stands_still(samples):
             times = None
             remarks.append(STANDS_STILL)
-        elif abs(ppm) > 200:
-            remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
+        else:
+            if abs(ppm) > 200:
+                remarks.append(f"the board's clock is {ppm:+.0f} ppm fast, which was corrected")
+            if jumps:
+                remarks.append(
+                    f"jumps of the board's clock, after which times go on from those of arrival: {jumps}"
+                )
     times = arrival_times(arrived - start) if times is None else times
     first = float(times.min()) if len(times) else 0.0
     return times - first, start + first
@@ -371,12 +376,12 @@ def arrival_times(arrived: Array) -> Array:
     return np.maximum.accumulate(arrived - behind * np.repeat(step, count) - apart) + apart
 
 
-def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
-    """Return the board's times [s] on the computer's clock, and by how much the board's is fast [ppm].
+def board_times(arrived: Array, board: Array) -> tuple[Array | None, float, int]:
+    """Return the board's times [s] on the computer's clock, by how much the board's is fast [ppm], and its jumps.
 
     A sample arrives late by what cable, driver and computer take, and never early. So we lay a line through the least
-    latenesses of all parts of a recording, by the median of slopes. Where the board began anew, the line does too.
-    Without a common passage of time there are no times.
+    latenesses of all parts of a recording, by the median of slopes. Where the board began anew, the line does too:
+    its clock jumps there, unless a sample was only late. Without a common passage of time there are no times.
     """
     from scipy.stats import theilslopes  # takes half a second, for which no recorder should wait
 
@@ -390,13 +395,14 @@ def board_times(arrived: Array, board: Array) -> tuple[Array | None, float]:
         least = np.array([k[np.argmin(late[k])] for k in np.array_split(part, min(64, len(part)))])
         span, slope, offset = float(np.ptp(board[part])), 0.0, float(np.median(late[least]))
         if np.ptp(late[least]) > 1 + 0.05 * span:
-            return None, 0.0
+            return None, 0.0, 0
         if span >= 10 and len(least) > 2:
             slope, offset, *_ = np.asarray(theilslopes(late[least], board[least])).tolist()
         if span >= longest:
             ppm, longest = 1e6 * (1 / (1 + slope) - 1), span
         times[part] = board[part] * (1 + slope) + offset
-    return np.maximum.accumulate(times), ppm
+    back, ahead = np.diff(board) < -0.1, np.abs(np.diff(times - board)) > 1.0
+    return np.maximum.accumulate(times), ppm, int((back | ahead).sum())
 
 
 def is_recording(path: str | Path) -> bool:

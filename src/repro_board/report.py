@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2 as chi_square
 
-from repro.common import Array, require, whole
+from repro.common import Array, whole
 from repro.estimators.calibration import Calibration
 from repro.estimators.track import Trajectory
+from repro.tolerances import in_words
 from repro_board.record import Note
 
 _COVERED = 0.95
@@ -41,15 +42,6 @@ class Report:
     def __str__(self) -> str:
         """Return the words."""
         return self.text
-
-
-def new(path: Path | str, owner: str) -> Path:
-    """Return the path of what is to be written; refuse one that is there."""
-    path = Path(path)
-    expected = "one that does not exist yet"
-    require(not (path.exists() or path.is_symlink()), "output", owner, expected, path.name)
-    require(path.parent.is_dir(), "output", owner, "in a folder that exists", path)
-    return path
 
 
 def written(path: Path, text: str, owner: str) -> str:
@@ -107,7 +99,7 @@ def calibration_report(found: Calibration, q: Array, u: Array) -> str:
         np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in (found.described, found.robot)
     )
     kept = [
-        name
+        in_words(found.robot, name)
         for name, now, prior in zip(found.names, found.deviation, found.tolerances, strict=True)
         if now > 0.9 * prior
     ]

@@ -190,7 +190,7 @@ class Follower:
     ) -> None:
         owner = "live"
         self.name, self.estimator = name or ESTIMATORS[0], estimator_of(robot, name, owner)
-        require(0 < grown < math.inf, "grown", owner, "positive", grown)
+        require(0 < grown <= 1e6, "grown", owner, "positive and at most 1e6", grown)
         self.robot, self.failed, self.grown = robot, [robot.part(x, owner) for x in failed], grown
         self._shapes = self._open = None
         if calibration is not None:  # what it left open, in shapes between which it hardly changes

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from repro.common import Array, bad_input, printable, require
+from repro.common import Array, bad_input, new, printable, require
 from repro.estimators.monitor import STATUS, TRUSTED
 from repro.robot import Robot
 from repro.robot_file import load_robot
 from repro_board.evaluate import NOT_WRITTEN, track_file
 from repro_board.export import configurations, estimates_table
 from repro_board.record import Note, is_recording, read_recording, readings_of
-from repro_board.report import MEANING, Report, new, written
+from repro_board.report import MEANING, Report, written
 from repro_board.shape_view import MOST_FRAMES, PAGE, VIEWER, Json, View, cells, view
 
 FRAMES, ROWS = 1200, 2000

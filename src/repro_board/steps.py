@@ -32,6 +32,7 @@ _LEAST_STEPS = 20
 """So many steps tell how many there are per second, and whether orientations are mounted as the robot says."""
 STILL = 10
 """A clock that shows one time in more steps in a row stands still, or is too coarse to be used."""
+JUMPED = "The board's clock jumped, or the board began anew: times go on from those of arrival."
 STANDS_STILL = "The board's clock stands still, or is too coarse: times are those of arrival."
 
 
@@ -64,6 +65,7 @@ class Steps:
     Times begin with the first arrival that is given, and increase. Samples that arrived together belong in one call
     of `feed`, which spreads them where they have no time of their own. Steps of one time are as far apart as those of
     the time before. A clock that shows one time in more than ten steps stands still: times are those of arrival.
+    After a jump of the clock they go on from the arrival.
 
     Parameters
     ----------
@@ -78,7 +80,7 @@ class Steps:
     Attributes
     ----------
     counters
-        Steps, and samples of other streams or with another number of values, which are left out.
+        Steps, samples of other streams or with another number of values, which are left out, and jumps of the clock.
     remarks
         What a user should know, one sentence each.
 
@@ -94,7 +96,7 @@ class Steps:
 
     def __init__(self, robot: Robot, times: str = "board", source: Parser | Labels = NO_LABELS) -> None:
         require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
-        self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0}
+        self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0, "clock_jumps": 0}
         self.remarks: list[str] = []
         self._losses = np.zeros((4, robot.n_readings), dtype=int)
         self._robot, self._by_board, self._source = robot, times == "board", source
@@ -278,4 +280,8 @@ class Steps:
         if passed_s != 0 and alike <= STILL and -_EARLY_S < passed_s < gap_s + _LATE_S:
             self._apart_s = passed_s / alike
             return tick_s + passed_s
+        within = -_EARLY_S < passed_s < alike * gap_s + _LATE_S
+        if alike <= STILL and not within and math.isfinite(passed_s):
+            self.counters["clock_jumps"] += 1
+            self.remarks += [JUMPED] * (JUMPED not in self.remarks)
         return None

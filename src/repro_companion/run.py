@@ -164,17 +164,22 @@ def converted(
 
 def value_of(parameter: Parameter, text: str, owner: str) -> Json:
     """Return a typed text as a value of its parameter, or refuse it."""
-    kind = parameter.kind
     try:
-        value = READERS[kind](text)
-        if type(value).__name__ != kind:
-            raise ValueError
+        value = READERS[parameter.kind](text)
     except Exception:
-        raise bad_input(f"parameter {parameter.name}", owner, f"{kind}: {KINDS[kind]}", text) from None
-    require(are_finite(value), f"parameter {parameter.name}", owner, "finite, below 1e308 in size", text)
-    must_be = ("a list of values, each " if kind == "list" else "") + parameter.rule
-    require(parameter.allows(value), f"parameter {parameter.name}", owner, must_be, text)
+        value = None  # of no kind
+    check_value(parameter, value, owner, text)
     return value
+
+
+def check_value(parameter: Parameter, value: object, owner: str, text: str) -> None:
+    """Refuse a value that is not as its notebook declares the parameter; a float may be a whole number."""
+    kind, name = parameter.kind, f"parameter {parameter.name}"
+    of_kind = type(value).__name__ == kind or (kind == "float" and type(value) is int)
+    require(of_kind, name, owner, f"{kind}: {KINDS[kind]}", text)
+    require(are_finite(value), name, owner, "finite, below 1e308 in size", text)
+    must_be = ("a list of values, each " if kind == "list" else "") + parameter.rule
+    require(parameter.allows(value), name, owner, must_be, text)
 
 
 def are_finite(value: Json) -> bool:
@@ -186,7 +191,7 @@ def are_finite(value: Json) -> bool:
 
 def typed(value: Json) -> str:
     """Return a value as one types it."""
-    return value if isinstance(value, str) else json.dumps(value)
+    return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
 # Keys and records

@@ -12,7 +12,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pandas.io.formats.style import Styler
 
-from repro_companion.run import project_folder
+from repro_companion.run import check_value, declared, project_folder
 
 KEY = ["paper", "artefact", "row", "quantity", "unit"]
 """What tells a printed number from all others."""
@@ -44,6 +44,17 @@ def sentences(template: str, **values: object) -> str:
     """Return a paragraph of words: a template filled with values, its lines joined by blanks."""
     lines = _TEMPLATES.from_string(template).render(values).splitlines()
     return " ".join(line.strip() for line in lines if line.strip())
+
+
+def checked(page: str, values: Mapping[str, object]) -> Path:
+    """Return the checkout; refuse another folder, and values that the parameters of a page cannot have.
+
+    ``repro run`` has looked at them before, but papermill and Jupyter have not.
+    """
+    root = project_folder()
+    for one in declared(root / "notebooks" / f"{page}.ipynb").values():
+        check_value(one, values.get(one.name), f"{page}.ipynb", repr(values.get(one.name)))
+    return root
 
 
 def results_folder() -> Path:

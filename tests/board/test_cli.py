@@ -6,6 +6,7 @@ import io
 import re
 import resource
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -167,6 +168,10 @@ def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
         ("emulate none.toml", "none.toml"),
         ("emulate robot.toml --fault gravity 1", "must be one of"),
         ("export robot.toml -o x.csv", "robot.toml"),
+        ("live nowhere --robot robot.toml --browser-socket 7", "must be left out without --browser"),
+        ("live nowhere --robot robot.toml --grown 1e300", "must be positive and at most 1e6"),
+        ("live nowhere --robot robot.toml -o x --estimates x", "must be another file than the recording"),
+        ("emulate robot.toml --tolerances 1e300", "must be 0 to 100"),
         ("weigh robot.toml", "weigh"),
     ],
 )
@@ -177,6 +182,91 @@ def test_wrong_input_ends_with_2_and_one_line(words, said, folder, monkeypatch, 
     assert said in line
     assert len(line.splitlines()) == 1
     assert line.startswith("repro")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words", "said"),
+    [
+        (
+            1,
+            "calibrate few.csv poses.csv -o new.json",
+            "pose of poses.csv, line 2, must be within the readings",
+        ),
+        (
+            1,
+            "calibrate few.csv --self -o new.json",
+            "there in three rows or more, for --self; instead received 1 of",
+        ),
+        (
+            2,
+            "evaluate few.csv captured.csv -o new",
+            "given with the readings, three or more; instead received 2",
+        ),
+        (
+            9,
+            "calibrate nothing.csv --self -o new.json",
+            "in three rows or more, for --self; instead received 0 of B1x",
+        ),
+    ],
+)
+def test_too_few_readings_are_refused_in_words(rows, words, said, folder, tmp_path, monkeypatch, capsys):
+    robot = repro.load_robot(folder / "robot.toml")
+    u = pd.DataFrame(np.ones((rows, 12)), columns=robot.names).assign(time_s=0.1 * np.arange(rows))
+    shutil.copytree(folder, tmp_path / "a")
+    monkeypatch.chdir(tmp_path / "a")
+    u.to_csv("few.csv", index=False)
+    u.assign(**dict.fromkeys(robot.names, "nan")).to_csv("nothing.csv", index=False)
+    assert main([*words.split(), "--robot", "robot.toml"]) == 2
+    assert said in (line := capsys.readouterr().err)
+    assert len(line.splitlines()) == 1
+
+
+AT_ROBOT = "--robot robot.toml"
+WRITERS = {
+    "check robot.toml --improve -o": "output",
+    "check robot.toml --improve --picture": "picture",
+    f"track motion.rec {AT_ROBOT} -o": "output",
+    f"show motion.rec {AT_ROBOT} -o": "output",
+    f"calibrate held.rec poses.csv {AT_ROBOT} -o": "output",
+    f"calibrate motion.rec --self {AT_ROBOT} -o": "output",
+    f"evaluate motion.rec captured.csv {AT_ROBOT} -o": "output",
+    "export motion.rec --to csv -o": "output",
+    "record socket://127.0.0.1:1 -o": "output",
+    f"live socket://127.0.0.1:1 {AT_ROBOT} -o": "output",
+    f"live socket://127.0.0.1:1 {AT_ROBOT} --estimates": "estimates",
+    "emulate robot.toml --hold-poses": "output",
+    "emulate robot.toml --port-file": "port_file",
+}
+"""Commands that write, up to the file, and what messages call it."""
+
+
+@pytest.mark.parametrize("output", ["robot.toml", ".", "none/x"])
+@pytest.mark.parametrize("words", WRITERS)
+def test_every_command_refuses_what_it_cannot_write_before_it_works(
+    words, output, folder, monkeypatch, capsys
+):
+    """A file that is there, a folder, and one in no folder; no search and no port is begun before."""
+    monkeypatch.chdir(folder)
+    before = sorted(folder.iterdir())
+    assert main([*words.split(), output]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(f"repro {words.split()[0]}: Input {WRITERS[words]} of ")
+    assert len(line.splitlines()) == 1
+    assert output in line
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("words", ["record", f"live {AT_ROBOT} --estimates new.csv"])
+def test_a_port_from_which_nothing_comes_ends_with_1_and_a_sentence(words, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.iterdir())
+    with socket.create_server(("127.0.0.1", 0)) as board:
+        name, *options = words.split()
+        port = f"socket://127.0.0.1:{board.getsockname()[1]}"
+        assert main([name, port, *options, "-o", "new.rec", "--duration", "0.3"]) == 1
+    said = capsys.readouterr()
+    assert re.search("^(Nothing|No readings of this robot) came, .*[.]$", said.out + said.err, re.MULTILINE)
+    assert sorted(folder.iterdir()) == before
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """What track, calibrate and evaluate do with files; the lag between readings and a motion."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -245,7 +246,8 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
 def test_residuals_of_a_calibration_are_root_mean_squares():
     """Two sensors that are off by 3 and 4 mT: 5 by the root of 2."""
     robot = repro.load_robot(RAW)
-    robot = robot.replaced(sensors=robot.sensors[:2], noise=1.0)
+    named = replace(robot.sensors[0], name="left")
+    robot = robot.replaced(sensors=[named, robot.sensors[1]], noise=1.0)
     off = {"sensor 1 offset": 3.0, "sensor 2 offset": 4.0}
     found = Calibration(
         placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.95, 0.1]), np.ones(2), np.eye(2),
@@ -254,7 +256,7 @@ def test_residuals_of_a_calibration_are_root_mean_squares():
     q = shapes(robot, np.arange(9.0))
     text = report.calibration_report(found, q, robot.sensing()(q))
     assert "mT as described, 3.54 mT calibrated." in text
-    assert "1 parameters stay as uncertain as before: sensor 1 offset" in text
+    assert "1 parameters stay as uncertain as before: left offset" in text
 
 
 def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
@@ -865,7 +867,7 @@ def test_motion_alone_tells_gains_and_offsets_as_well_as_stated(tmp_path, spike)
     assert f"1000 rows of readings in motion; {int(spike)} do not fit" in str(report)
     value, deviation, prior = (100 * x[found.names.index("sensor 1 gain x")] for x in
                                (found.estimate, found.deviation, found.tolerances))  # fmt: skip
-    assert f"sensor 1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
+    assert f"B1 gain x: {value:+.2g} ± {deviation:.2g} % (before ± {prior:.2g})" in str(report)
     assert repro.load_robot(EXAMPLE, tmp_path / "c.json").sensors[0].gain == found.robot.sensors[0].gain
 
 
@@ -901,9 +903,7 @@ def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path, ca
     path, _, _ = in_motion(tmp_path)
     off = rewritten(path, lambda frame: frame.update(frame["B1x"] + 1.4))
     text = str(calibrate_by_motion(off, EXAMPLE, tmp_path / "c.json"))
-    assert [line.split(":")[0].strip() for line in text.splitlines() if "DOUBT" in line] == [
-        "sensor 1 offset x"
-    ]
+    assert [line.split(":")[0].strip() for line in text.splitlines() if "DOUBT" in line] == ["B1 offset x"]
     words = ["calibrate", str(path), str(DATA / "held_poses.csv"), "--self"]
     assert main([*words, "--robot", str(EXAMPLE), "-o", str(tmp_path / "d.json")]) == 2
     assert "poses of repro calibrate must be left out with --self" in capsys.readouterr().err

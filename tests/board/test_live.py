@@ -430,9 +430,13 @@ def test_a_whole_session_by_its_files(tmp_path, monkeypatch):
     assert len(table) == 40
     assert (table["status"] == "consistent").all()
     assert len(read_recording(tmp_path / "a.rec").samples) == 40
-    assert "40 estimates by levenberg_marquardt" in end
-    assert "The view on the terminal has failed, and the session goes on without it (ZeroDivisionError" in end
-    with pytest.raises(InputError, match="output of live must be a new file"):
+    assert "40 estimates by levenberg_marquardt" in str(end)
+    assert end.found["estimates"] == 40
+    assert (
+        "The view on the terminal has failed, and the session goes on without it (ZeroDivisionError"
+        in str(end)
+    )
+    with pytest.raises(InputError, match="output of live must be one that does not exist yet"):
         live(Line(address), repro.example() / "robot.toml", **paths)
 
 

@@ -14,6 +14,7 @@ import threading
 import time
 import tty
 import zlib
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.soak import damaged, kills
-from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
+from repro import ConstantCurvature, Imu, InputError, Link, Robot, Sensor
 from repro_board import live as module
 from repro_board.live import record
 from repro_board.record import (
@@ -35,7 +36,7 @@ from repro_board.record import (
     readings_of,
 )
 from repro_board.session import open_port, ports
-from repro_board.steps import STANDS_STILL
+from repro_board.steps import JUMPED, STANDS_STILL, Steps
 from repro_board.wire import encode
 from tests.board.waiting import until
 
@@ -363,8 +364,9 @@ def test_times_of_the_board_are_on_the_computers_clock_whatever_the_delays(ppm):
     board = (4000.0 + sent * (1 + 1e-6 * ppm)) % 4294.967296  # wraps on its way
     board[1::2] += 4294.967296  # a stream that was there at the wrap before
     delay = 0.001 + rng.exponential(0.004, len(sent)) + 0.5 * (rng.random(len(sent)) < 0.01)
-    times, found = board_times(sent + delay, board)
+    times, found, jumps = board_times(sent + delay, board)
     assert times is not None
+    assert jumps == 0
     np.testing.assert_allclose(times - times[0], sent, atol=0.5e-3)
     assert found == pytest.approx(ppm, abs=2.0)
 
@@ -374,8 +376,32 @@ def test_a_board_that_begins_anew_goes_on_in_time():
         [np.arange(0.0, 30.0, 0.01), np.arange(32.0, 60.0, 0.01), np.arange(75.0, 80.0, 0.01)]
     )
     board = np.concatenate([sent[:3000] + 100.0, sent[3000:5800] - 31.5, sent[5800:] - 74.0])
-    times, _ = board_times(sent + 0.002, board)
+    times, _, jumps = board_times(sent + 0.002, board)
     np.testing.assert_allclose(times, sent + 0.002, atol=1e-6)
+    assert jumps == 2
+
+
+@pytest.mark.parametrize("jump_s", [0.0, -0.5, -40.0, 1.5, 3600.0])
+def test_every_jump_of_the_boards_clock_is_told_and_a_late_sample_is_none(tmp_path, jump_s):
+    """In a recording and live. For 1.5 s nothing arrives, and then all that was held up."""
+    sent = np.arange(0.0, 40.0, 0.05)
+    arrived = np.where((sent > 8.0) & (sent < 9.5), 9.5, sent)
+    clock = 100.0 + sent + jump_s * (sent >= 20.0)
+    parts = [encode([1.0 + k], sequence=k, time_us=round(1e6 * t)) for k, t in enumerate(clock)]
+    with closing(Writer(tmp_path / "a.rec", {})) as writer:
+        for t, data in zip(arrived, parts, strict=True):
+            writer.write(round(1e9 * (1.7e9 + t)), data)
+    recording, chip = read_recording(tmp_path / "a.rec"), Robot([Link(0.1)], sensors=[Sensor(1, 0.05)])
+    told = "jumps of the board's clock, after which times go on from those of arrival: 1"
+    assert recording.remarks == (told,) * bool(jump_s)
+    np.testing.assert_allclose(recording.times, sent, atol=1e-3)
+    if jump_s in (0.0, -40.0, 3600.0):  # live, a second or two may be the delay of a cable
+        steps = Steps(chip)
+        taken = zip(recording.samples, arrived, strict=True)
+        found = [step.time_s for sample, t in taken for step in steps.feed([sample], t)]
+        assert steps.counters["clock_jumps"] == bool(jump_s)
+        assert steps.remarks == [JUMPED] * bool(jump_s)
+        assert np.abs(np.array(found) - sent).max() < 2.0
 
 
 @pytest.mark.parametrize("board", [np.zeros(500), np.arange(500) / 1e5, np.arange(500) * 1.0])

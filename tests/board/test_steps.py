@@ -131,7 +131,7 @@ def test_imus_beside_magnetic_sensors_keep_what_they_said():
 def test_other_streams_and_widths_are_counted_and_said():
     steps = Steps(BOTH)
     readings(steps, [sample(0, 1.0), sample(255, 1.0), sample(1, 1.0), sample(0, 1.0, 2.0), sample(255, 2.0)])
-    assert steps.counters == {"steps": 1, "other_streams": 2, "other_widths": 2}
+    assert steps.counters == {"steps": 1, "other_streams": 2, "other_widths": 2, "clock_jumps": 0}
     assert "Samples of stream 255 are none of the robot's: left out." in steps.remarks
     assert "Samples of stream 1 have other than 4 values: left out." in steps.remarks
 

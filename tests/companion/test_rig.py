@@ -243,6 +243,15 @@ def test_a_change_of_six_times_the_noise_is_a_start():
     assert rig.start_of_readings(u, "made") == 10
 
 
+def test_a_start_is_the_row_where_the_rise_passes_three_times_the_noise():
+    """It takes a change of six times the noise, 8.49 mV, to be one; three times that is 4.24 mV."""
+    u = np.tile((-1.0) ** np.arange(14)[:, None], (1, 3))
+    u[10:] = np.array([4.2, 4.3, 6.0, 8.6])[:, None]
+    assert rig.start_of_readings(u, "made") == 11
+    with pytest.raises(InputError, match="start of made must be readings that change by"):
+        rig.start_of_readings(u[:13], "made")
+
+
 def test_readings_of_another_motion_are_said_to_hardly_follow(t1):
     noise = np.random.default_rng(0).normal(size=t1.u.shape)
     assert "hardly follow" in rig.doubts(t1.q, noise, "noise")[0]

@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -53,6 +54,18 @@ def test_another_type_is_refused_in_words(kind, text):
     must_be = f"{kind}: {tool.KINDS[kind]}"
     said = f"Input parameter x of a.ipynb must be {must_be}; instead received {text}."
     assert refused(Parameter("x", kind, "", ""), text) == said
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("int", "3"), ("int", True), ("int", 3.0), ("float", None), ("list", (1,)), ("str", 1)],
+)
+def test_a_value_of_another_type_is_refused_in_words(kind, value):
+    with pytest.raises(InputError, match=f"must be {kind}: .*; instead received that"):
+        tool.check_value(Parameter("x", kind, "", ""), value, "a.ipynb", "that")
+    tool.check_value(Parameter("x", "float", "", ""), 3, "a.ipynb", "3")
+    with pytest.raises(InputError, match="must be a list of values, each one of: 0, 1; instead"):
+        tool.check_value(Parameter("x", "list", "", "seeds, one of: 0, 1"), [np.arange(2)], "a.ipynb", "that")
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,20 @@ def test_a_start_without_a_batch_serves_a_batch_of_readings(case):
     assert found.q.shape == (2, len(q0))
 
 
+@pytest.mark.parametrize("make", [
+    lambda robot: GradientDescent(robot, 3.5e-4), LevenbergMarquardt, KalmanFilter,
+    lambda robot: ParticleFilter(robot, particles=10),
+])  # fmt: skip
+def test_a_robot_whose_coordinates_are_all_fixed_is_refused(make):
+    """Its shape would be known exactly, whatever is read. One free coordinate will do."""
+    robot = paper_robot(1, 6).replaced(noise=1e-3, rate_hz=25.0)
+    make(robot.replaced(lower=[*LOW[:2], 0.0], upper=[*LOW[:2], 4e-3]))
+    with pytest.raises(
+        InputError, match="one with a coordinate that is free; instead received delta_x_1, .* fixed by"
+    ):
+        make(robot.replaced(lower=LOW, upper=LOW))
+
+
 @pytest.mark.parametrize("how", ["nan", "infinite", "mask"])
 def test_what_is_missing_is_left_out_and_counted(case, how):
     name, method, q0, u = case

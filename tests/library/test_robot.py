@@ -61,6 +61,19 @@ def test_an_arc_is_the_circle_of_its_curvature(x, y, v):
     np.testing.assert_allclose(T[:3, :3], expected, rtol=0, atol=1e-14)
 
 
+def test_places_are_printed_only_where_they_are_refused(monkeypatch):
+    """To print one takes many times as long as its pose."""
+    robot, place = Robot([ConstantCurvature(0.1, 1.0)]), point_on(1, 0.05)
+    monkeypatch.setattr(type(place), "__repr__", lambda _: 1 / 0)
+    robot.poses([0.1, 0.2, 0.0], [place])
+    for wrong, words in (
+        (3, "must be a list of places"),
+        ([3], "must be a place: that of a part, or one from"),
+    ):
+        with pytest.raises(InputError, match=words):
+            robot.poses([0.1, 0.2, 0.0], wrong)
+
+
 @given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0))
 def test_affine_curvature_without_its_slope_is_constant_curvature(k, phi):
     affine = Robot([AffineCurvature(0.2)]).tip([k, 0.0, phi, 0.003])

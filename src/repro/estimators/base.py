@@ -201,6 +201,12 @@ def start(q0: ArrayLike, n_q: int, owner: str) -> Array:
     return numbers(q0, "q0", owner, (..., n_q))
 
 
+def check_free(robot: Assembly, owner: str) -> None:
+    """Refuse a robot without a coordinate to estimate: its shape would be known exactly, whatever is read."""
+    fixed = "none" if robot.n_q == 0 else f"{', '.join(robot.coordinates)}, fixed by equal bounds"
+    require(not robot.fixed.all(), "robot", owner, "one with a coordinate that is free", fixed)
+
+
 def described(
     sensing: Any, lower: ArrayLike | None, upper: ArrayLike | None, noise: ArrayLike | None, owner: str
 ) -> tuple[Assembly | None, Any, Any, Any, Any]:
@@ -209,11 +215,12 @@ def described(
     Raises
     ------
     InputError
-        If bounds or noise are neither given nor stated by a robot.
+        If bounds or noise are neither given nor stated by a robot, or nothing of the robot is to be estimated.
     """
     if isinstance(sensing, Assembly):
         robot = sensing
-        require(robot.n_q, "robot", owner, "one with a coordinate", "none")
+        if lower is None or upper is None:
+            check_free(robot, owner)
         sensing = sensing_of(robot)
     else:
         robot = robot_of(sensing)

@@ -35,7 +35,7 @@ from repro.estimators.track import with_bar
 from repro.parts import Assembly, Source
 from repro.sensing import Sensing, sensing_of
 from repro.tables import Readings, configurations_of, read_readings, read_table
-from repro.tolerances import Described, Tolerances, placed, priors_of, slopes_of
+from repro.tolerances import Described, Tolerances, in_words, placed, priors_of, slopes_of
 
 _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0
 """By how many of its standard deviations a pose may be off what the others predict, most of them, and any of them in
@@ -226,9 +226,10 @@ def calibrate(
     Raises
     ------
     InputError
-        If readings, poses and robot do not fit or are not finite, if a pose is outside the bounds, or if the result
-        is no better than the description: poses are predicted from the others no better than by the robot as
-        described, or too badly, or a part is off by more than ten times its tolerance.
+        If readings, poses and robot do not fit or are not finite, if a pose is outside the bounds or there is only
+        one, so that nothing could check the result, or if this is no better than the description: poses are predicted
+        from the others no better than by the robot as described, or too badly, or a part is off by more than ten
+        times its tolerance.
 
     Examples
     --------
@@ -285,7 +286,7 @@ def _measured(
         for row, c in np.argwhere(np.isnan(q)):
             raise bad_input("pose", f"{rows[row]},", f"a number for {robot.coordinates[c]}", "none")
     q = numbers(q, "q", owner, (None, robot.n_q))
-    require(len(q), "q", owner, "at least one pose", "none")
+    require(len(q) > 1, "q", owner, "two poses or more, each of which the others predict", len(q))
     u = read_readings(robot, u) if is_table(u) else u
     since = u.times if isinstance(u, Readings) else None
     if at is not None and since is not None and len(at) == len(since):
@@ -339,7 +340,7 @@ class _Poses(NamedTuple):
             quality = _by_pose(self.trial(0 * start), fit.last, covariance, len(self.q))
         except _NO_FIT as error:
             raise _refused(f"a fit that ends in no robot ({error})") from error
-        _judge(fit.z, self.names, quality, rows)
+        _judge(fit.z, [in_words(self.described, name) for name in self.names], quality, rows)
         return fit, covariance, quality
 
     def missing_field(self, *, rough: bool) -> str:

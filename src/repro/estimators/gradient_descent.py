@@ -12,6 +12,7 @@ from repro.angles import FreeAngles
 from repro.common import Array, kernel, numbers, require
 from repro.estimators.base import (
     Estimate,
+    check_free,
     each,
     incoming,
     known_coordinates,
@@ -107,6 +108,7 @@ class GradientDescent:
         self.robot = robot_of(self.model)
         low, high = np.repeat([[-np.inf], [np.inf]], self.n_q, axis=1)
         if robot is not None and robot.lower is not None and robot.upper is not None:
+            check_free(robot, owner)
             low, high = robot.lower, robot.upper
         self.angles = FreeAngles(() if robot is None else self.model.rotations, low, high)
         self._limits = np.where(self.angles.free, [[-np.inf], [np.inf]], [low, high])

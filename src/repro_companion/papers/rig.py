@@ -199,9 +199,11 @@ def _without_gaps(ring: np.ndarray, name: str) -> np.ndarray:
 
 
 def start_of_readings(u: np.ndarray, name: str) -> int:
-    """Return the first row that differs from rest by more than six times the noise, and by more than 1 mV.
+    """Return the row in which readings leave rest, for a change of more than six times the noise, at least 1 mV.
 
-    The released rule, 1 mV from the first row, takes noise for a start where readings are noisier than the authors'.
+    It is the first of the rise to that change: the rows before it differ by less than three times the noise, or by
+    less than 1 mV. The released rule, 1 mV from the first row, takes noise for a start where readings are noisier
+    than the authors'.
     """
     rest, limit = (
         np.median(u[:10], axis=0),
