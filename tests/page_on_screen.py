@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from chromium import LONGEST_MS
 from PIL import Image
 from playwright.sync_api import Error as PlaywrightError
 
@@ -19,6 +20,7 @@ NO_GPU = "GPU stall due to ReadPixels"
 def window(browser, width: int, scheme: str) -> Iterator[tuple]:
     """Open an empty page in a window of its own; yield it with a list of all addresses that it asks for."""
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    context.set_default_timeout(LONGEST_MS)
     page, asked, failed = context.new_page(), [], []
     page.on("request", lambda request: asked.append(request.url))
     page.on("pageerror", lambda error: failed.append(error))
