@@ -24,6 +24,8 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+LONGEST_MS = 120_000
+"""What a browser has not done by then it does not do, however busy the computer is."""
 MISSING = (
     "Chromium is needed to check the pages and could not be installed. Debian and Ubuntu: apt-get install chromium; "
     "elsewhere: .venv/bin/playwright install chromium. One that lies elsewhere: CHROMIUM=/path/to/it make check-site"
@@ -73,7 +75,7 @@ def started(executable: str) -> Iterator:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=executable, args=FLAGS, timeout=LONGEST_MS)
         yield browser
         browser.close()
 

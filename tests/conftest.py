@@ -8,14 +8,16 @@ from collections.abc import Iterator
 import pytest
 import torch
 from chromium import find, started
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 collect_ignore = ["conftest.py"]  # it has no examples to run, and other folders have a module of this name
 
 torch.set_num_threads(1)
 # Started in the background of a script, this process and its children ignore interruptions, which tests send.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-settings.register_profile("repro", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile(
+    "repro", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)  # how busy the computer is says nothing about a law
 settings.load_profile("repro")
 
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from chromium import LONGEST_MS
 from PIL import Image
 from playwright.sync_api import Error as PlaywrightError
 
@@ -19,6 +20,7 @@ NO_GPU = "GPU stall due to ReadPixels"
 def window(browser, width: int, scheme: str) -> Iterator[tuple]:
     """Open an empty page in a window of its own; yield it with a list of all addresses that it asks for."""
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    context.set_default_timeout(LONGEST_MS)
     page, asked, failed = context.new_page(), [], []
     page.on("request", lambda request: asked.append(request.url))
     page.on("pageerror", lambda error: failed.append(error))
@@ -27,11 +29,11 @@ def window(browser, width: int, scheme: str) -> Iterator[tuple]:
     assert not failed
 
 
-def wait_until(page, condition: str) -> None:
-    """Wait for a condition; the browser's own way of doing so evaluates text, which our pages forbid."""
-    for _ in range(200):
+def wait_until(page, condition) -> None:
+    """Wait for what is to hold, here or, as text, in the page; the browser's own way is forbidden to our pages."""
+    for _ in range(600):
         try:
-            if page.evaluate(condition):
+            if condition() if callable(condition) else page.evaluate(condition):
                 return
         except PlaywrightError as error:  # the page was just reloading itself
             if "Execution context was destroyed" not in str(error):
@@ -45,6 +47,19 @@ def pixels(element) -> np.ndarray:
     two_frames = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
     element.page.evaluate(two_frames)
     return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB")).astype(int)
+
+
+def at_rest(element) -> np.ndarray:
+    """Return an element once two pictures of it, 0.3 s apart, are the same."""
+    pictures = [pixels(element)]
+
+    def rests() -> bool:
+        element.page.wait_for_timeout(300)
+        pictures.append(pixels(element))
+        return np.array_equal(*pictures[-2:])
+
+    wait_until(element.page, rests)
+    return pictures[-1]
 
 
 def differing(one: np.ndarray, other: np.ndarray) -> int:

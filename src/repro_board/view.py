@@ -175,7 +175,8 @@ class PageServer:
             await _within(self.over.wait(), UPDATE_S)
         server.stop()
         self._wake()
-        await asyncio.sleep(0.2 * bool(self.pages))  # they are told that it is over
+        for _ in range(20):  # they are told that it is over; a computer that stops meanwhile costs no turn
+            await asyncio.sleep(0.01 * bool(self.pages))
         await server.close_all_connections()
 
     def _told(self) -> str:
@@ -248,13 +249,13 @@ class _Events(_File):
         self.write(f"retry: {round(1e3 * RETRY_S)}\n")
         try:
             while not server.over.is_set():
+                self.new.clear()  # what comes while this one is sent is not missed
                 self.write(f"data: {server.latest}\n\n" if server.latest else ":\n\n")
                 if not await _within(self.flush(), STALLED_S):
                     self.detach().close()
                     return
-                self.new.clear()
                 await self.new.wait()
-            self.finish("event: end\ndata:\n\n")
+            await self.finish("event: end\ndata:\n\n")
         except iostream.StreamClosedError:  # the page has left
             pass
         finally:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import resource
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -24,6 +27,7 @@ from repro_board.cli import main
 from repro_board.evaluate import calibrate_files, track_file
 from repro_board.live import Follower
 from repro_board.record import Writer
+from tests.board.waiting import LONGEST_S, until
 
 SEED = 3
 
@@ -65,13 +69,13 @@ def emulated(folder: Path, *options: str) -> Iterator[str]:
         *options,
     ]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as board:
-        assert board.stdout is not None
-        assert "SYNTHETIC" in board.stdout.readline()
-        board.stdout.readline()
         try:
+            assert board.stdout is not None
+            assert "SYNTHETIC" in board.stdout.readline()
+            board.stdout.readline()
             yield "board"
         finally:
-            board.terminate()
+            board.kill()
 
 
 @pytest.mark.slow
@@ -141,12 +145,25 @@ def test_live_states_what_a_calibration_leaves_open(folder):
 
 @pytest.mark.slow
 def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
+    """Until somebody presses Ctrl-C, when there is enough."""
     monkeypatch.chdir(folder)
-    with emulated(folder) as port:  # it has said that its port is there
-        assert main(["record", port, "-o", "port.rec", "--duration", "1"]) == 0
-        assert (
-            main(["live", port, "--robot", "robot.toml", "--estimates", "live.csv", "--duration", "2"]) == 0
-        )
+
+    def lines(name: str) -> int:
+        """Of a file that is there or being written."""
+        return sum(path.read_bytes().count(b"\n") for path in folder.glob(f"*{name}*"))
+
+    def stop(name: str) -> None:
+        until(lambda: lines(name) > 21)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    at_most = ["--duration", f"{2 * LONGEST_S:.0f}"]
+    live = ["live", "board", "--robot", "robot.toml", "--estimates", "live.csv"]
+    with emulated(folder):  # it has said that its port is there
+        for words, name in ((["record", "board", "-o", "port.rec"], "port.rec"), (live, "live.csv")):
+            thread = threading.Thread(target=stop, args=(name,), daemon=True)
+            thread.start()
+            assert main([*words, *at_most]) == 0
+            thread.join(LONGEST_S)
     assert len(pd.read_csv("live.csv")) > 20
     assert main(["track", "port.rec", "--robot", "robot.toml", "-o", "port.csv"]) == 0
     assert {"time_s", "tip_x_mm", "status", "suspects"} <= {*pd.read_csv("port.csv")}

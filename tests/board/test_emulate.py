@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing
 from itertools import islice
@@ -44,7 +45,7 @@ from repro_board.emulate import (
 )
 from repro_board.steps import Steps
 from repro_board.wire import Parser
-from tests.board.waiting import until
+from tests.board.waiting import LONGEST_S, until
 
 LOW, HIGH = np.array([-0.01, -0.02, 0.0, -0.01, 0.0, 0.0]), np.array([0.01, 0.02, 0.006, 0.01, 0.0, 0.006])
 ROBOT = Robot(
@@ -413,16 +414,27 @@ def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
 
 
 # ------------------------------------------------------------------------------------------------- real ports
-def read_for(address, seconds, enough=10**9):
-    """Open a port, and return what arrives in some seconds, and when each part did."""
+def read_until(address, enough, opened=None):
+    """Open a port, and return what arrives until it is enough, and when each part did; say when it is open."""
     found, times = b"", []
+
+    def arrives() -> bool:
+        nonlocal found
+        if data := port.read(65536):
+            found += data
+            times.append((time.monotonic(), len(found)))
+        return enough(found, np.array(times))
+
     with serial.serial_for_url(address, timeout=0.005) as port:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and len(found) < enough:
-            if data := port.read(65536):
-                found += data
-                times.append((time.monotonic(), len(found)))
+        if opened is not None:
+            opened.set()
+        until(arrives)
     return found, np.array(times)
+
+
+def at_least(n):
+    """Whether so many frames have arrived."""
+    return lambda found, _: len(Parser("frames").feed(found)) >= n
 
 
 @pytest.fixture(params=["pty", "tcp"])
@@ -432,31 +444,59 @@ def link(request, tmp_path):
 
 def test_as_fast_as_it_is_read_every_byte_arrives_in_order(link):
     expected = b"".join(data for _, data in islice(board_bytes(EXACT), 1000))
-    with Emulator(islice(board_bytes(EXACT), 1000), link, speed=np.inf) as board:
-        found, _ = read_for(board.address, 8.0, len(expected))
-        assert board.ended.wait(2.0)
+    opened = threading.Event()
+
+    def sent():
+        assert opened.wait(LONGEST_S)  # a reader that opens it drops what came before
+        yield from islice(board_bytes(EXACT), 1000)
+
+    with Emulator(sent(), link, speed=np.inf) as board:
+        found, _ = read_until(board.address, lambda found, _: len(found) == len(expected), opened)
+        assert board.ended.wait(LONGEST_S)
     assert found == expected
     assert not Path(board.address).exists()
 
 
 def test_in_real_time_its_rate_is_that_of_the_robot(link):
+    """A busy machine delays many parts, but not all: with another rate, no time would be long enough."""
     robot = EXACT.replaced(imus=[])
+    size = len(next(board_bytes(robot))[1])
+
+    def in_time(_, times):
+        if len(times) < 9 or times[-1, 1] < 1000 * size:
+            return False
+        third, late = len(times) // 3, times[:, 0] - times[:, 1] / size / 1000.0
+        return abs(late[-third:].min() - late[:third].min()) < 0.02 * (times[-1, 0] - times[0, 0])
+
     with Emulator(board_bytes(robot, rate_hz=500.0), link, speed=2.0) as board:
-        _, times = read_for(board.address, 1.0)
-    size, third = len(next(board_bytes(robot))[1]), len(times) // 3
-    late = times[:, 0] - times[:, 1] / size / 1000.0  # a busy machine delays many parts, but not all
-    assert abs(late[-third:].min() - late[:third].min()) < 0.02 * (times[-1, 0] - times[0, 0])
+        read_until(board.address, in_time)
 
 
 def test_a_port_that_disappears_comes_back_under_its_name(tmp_path):
-    items = [(0.0, b"first"), (0.05, b""), (0.3, b"lost"), (0.6, b"second")]
-    with Emulator(items, tmp_path / "board") as board:
-        for expected in (b"first", b"second"):
-            until(Path(board.address).exists)
-            with serial.serial_for_url(board.address, timeout=2.0) as port:
-                assert port.read(len(expected)) == expected
-                if expected == b"first":
-                    until(lambda: not Path(board.address).exists())
+    both = threading.Barrier(2, timeout=LONGEST_S)
+
+    def sent():
+        both.wait()  # the reader has opened it
+        yield 0.0, b"first"
+        both.wait()  # and read that
+        yield 0.0, b""
+        both.wait()  # it has left
+        yield 0.0, b"lost"
+        both.wait()  # that is lost
+        both.wait()  # it has opened it again
+        yield 0.0, b"second"
+
+    with Emulator(sent(), tmp_path / "board") as board:
+        with serial.serial_for_url(board.address, timeout=LONGEST_S) as port:
+            both.wait()
+            assert port.read(5) == b"first"
+            both.wait()
+            until(lambda: not Path(board.address).exists())
+        both.wait()
+        both.wait()
+        with serial.serial_for_url(board.address, timeout=LONGEST_S) as port:
+            both.wait()
+            assert port.read(6) == b"second"
 
 
 def test_what_fails_in_its_thread_is_raised():
@@ -466,23 +506,29 @@ def test_what_fails_in_its_thread_is_raised():
 
     def played():
         with Emulator(sent(), 0) as board:
-            read_for(board.address, 2.0, len(b"first"))
-            until(board.ended.is_set)
+            read_until(board.address, lambda *_: board.ended.is_set())
 
     with pytest.raises(InputError, match="no more"):
         played()
 
 
 def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():
-    with Emulator(board_bytes(EXACT), 0) as board:
-        first, _ = read_for(board.address, 0.6)  # and 0.3 s to close it
-        second, _ = read_for(board.address, 0.3)
-    parsers = [Parser("frames"), Parser("frames")]
-    a, b = (
-        [s for s in p.feed(data) if s.stream == 0] for p, data in zip(parsers, (first, second), strict=True)
-    )
-    assert a[0].sequence == 0
-    assert 40 < b[0].sequence - a[-1].sequence < 200
+    """While nobody has the port open the board goes on in time, or makes up for it where the computer stopped."""
+    robot, played = EXACT.replaced(imus=[]), []
+
+    def late_s(k: int) -> float:
+        return played[k] - k / robot.rate_hz
+
+    with Emulator((played.append(time.monotonic()) or item for item in board_bytes(robot)), 0) as board:
+        first, _ = read_until(board.address, at_least(100))
+        left = len(played)
+        until(lambda: len(played) > left + 40 and late_s(len(played) - 1) < late_s(0) + 0.1)
+        away = len(played) - 1
+        second, _ = read_until(board.address, at_least(50))
+    a, b = ([sample.sequence for sample in Parser("frames").feed(data)] for data in (first, second))
+    assert a == list(range(len(a)))
+    assert b == list(range(b[0], b[0] + len(b)))
+    assert len(a) <= left <= away - 40 <= b[0] - 40
 
 
 def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
@@ -492,12 +538,15 @@ def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
     )
     command = [sys.executable, "-c", code, str(DATA / "two_segments.toml")]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "two_segments.toml, SYNTHETIC\n"
-        address = process.stdout.readline().removeprefix("Port: ").strip()
-        assert address == str(tmp_path / "board")
-        found, _ = read_for(address, 0.9)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
+        try:
+            assert process.stdout.readline() == "two_segments.toml, SYNTHETIC\n"
+            address = process.stdout.readline().removeprefix("Port: ").strip()
+            assert address == str(tmp_path / "board")
+            found, _ = read_until(address, at_least(60))
+            process.send_signal(signal.SIGINT)
+            assert process.wait(LONGEST_S) == 0
+        finally:
+            process.kill()
     assert len(Parser("frames").feed(found)) > 50
     assert not (tmp_path / "board").is_symlink()
     assert len(pd.read_csv(tmp_path / "held.csv")) == 48

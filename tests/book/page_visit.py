@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from chromium import LONGEST_MS
 from page_on_screen import NO_GPU
 
 AXE = Path(__file__).resolve().parents[1] / "vendor" / "axe-core" / "axe.min.js"
@@ -96,6 +97,7 @@ def open_page(browser, url: str, *, width: int = 1280):
     """Open a page; give it with a record of what happens there, and close it in the end."""
     seen = Visit()
     page = browser.new_page()
+    page.set_default_timeout(LONGEST_MS)
     page.set_viewport_size({"width": width, "height": 900})
     page.emulate_media(color_scheme="light")
     page.on("request", lambda request: seen.requests.append(request.url))

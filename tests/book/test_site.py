@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from built_site import SITE, links_of, no_site, url_of
 from chromium import MISSING, find, started
-from page_on_screen import pixels
+from page_on_screen import at_rest, pixels, wait_until
 from page_visit import AXE, FACTS, STILL, Visit, open_page, visit
 from shown import MACHINE_NAME, cells_not_to_show, texts_of_a_program, texts_of_picture
 
@@ -191,14 +191,13 @@ def test_shape_views(name, browser):
             view.scroll_into_view_if_needed()
             canvas = view.locator("canvas").first
             canvas.wait_for()
-            page.wait_for_timeout(300)
-            before = pixels(canvas)
-            assert before.std() > 1, "the canvas is blank"
+            wait_until(page, lambda canvas=canvas: pixels(canvas).std() > 1)  # it is not blank
+            before = at_rest(canvas)
             slider = view.get_by_role("slider").first
             slider.focus()
             slider.press("End" if slider.input_value() == "0" else "Home")
-            page.wait_for_timeout(300)
-            assert np.abs(pixels(canvas) - before).max() > 20, "the slider does not move the shape"
+            moved = lambda canvas=canvas, before=before: np.abs(pixels(canvas) - before).max() > 20  # noqa: E731
+            wait_until(page, moved)
         assert seen.console == []
 
 

@@ -199,15 +199,18 @@ def _at_most(seconds: float) -> Iterator[None]:
 
     It holds in the main thread; a library that drops the exception meets it again a second later.
     """
+    over = False
 
     def stop(*_: object) -> None:
-        raise _TimeUp
+        if not over:
+            raise _TimeUp
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
     try:
         yield
     finally:
+        over = True  # from here on it would leave the clock running
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 
