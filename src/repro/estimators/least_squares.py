@@ -43,7 +43,7 @@ from repro.estimators.base import (
     spread,
     start,
 )
-from repro.sensing import difference, evaluate, network_for, room_for, turned, unpack
+from repro.sensing import cut, difference, evaluate, network_for, room_for, turned, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
@@ -262,7 +262,11 @@ class LevenbergMarquardt(Tuned):
         at_bound, status, counts = np.empty(of_q, bool), np.empty(of_status), np.empty(of_counts, int)
         flat = in_line(batch, held, rows, found, C, u_hat, at_bound, status, counts)
         arrays = (self._settings, by_bounds, priors, *flat)
-        good = _fit(*self.model.packed, *arrays) if self.model.compiled else self._fit_callable(*arrays)
+        if self.model.compiled:
+            work = self.model.work(_numbers_in_fit(n, self.model.n_readings))
+            good = _fit(*self.model.packed, work, *arrays)
+        else:
+            good = self._fit_callable(*arrays)
         if not good:
             rest = None if prior is not None else each(q if rest is None else rest, batch, n)
             self._settle(rest, each(q, batch, n), *flat)
@@ -347,12 +351,18 @@ def bounded_inverse(A: Array, held: Array) -> Array:
     return np.where(np.outer(free, free), C, 0.0)
 
 
+def _numbers_in_fit(n: int, s: int) -> int:
+    """Return how many numbers ``_fit`` writes besides the room for one evaluation."""
+    return 2 * n * n + (s + 3) * n + 2 * s
+
+
 @kernel(entry=True, allocates=True)
 def _fit(
     ints,
     floats,
     weights,
     kinds,
+    work,
     settings,
     by_bounds,
     priors,
@@ -366,12 +376,13 @@ def _fit(
     counts,
 ):
     """Fit every member of a batch; members stand one after the other."""
-    t, n = unpack(ints, floats), C.shape[1]
-    network, room = network_for(t, weights), room_for(t)
-    s = len(settings) - 2 * n - 2
-    x, g, A = np.zeros(n), np.zeros(n), np.zeros(n * n).reshape(n, n)
-    hat, r, J = np.zeros(s), np.zeros(s), np.zeros(s * n).reshape(s, n)
-    delta, L, good = np.zeros(n), np.zeros(n * n).reshape(n, n), True
+    t, n, s = unpack(ints, floats), C.shape[1], len(settings) - 2 * C.shape[1] - 2
+    network, room, good = network_for(t, weights), room_for(t, work), True
+    at = len(work) - 2 * n * n - (s + 3) * n - 2 * s
+    A, L, J = cut(work, at, (n, n)), cut(work, at + n * n, (n, n)), cut(work, at + 2 * n * n, (s, n))
+    at += 2 * n * n + s * n
+    x, g, delta = cut(work, at, (n,)), cut(work, at + n, (n,)), cut(work, at + 2 * n, (n,))
+    hat, r = cut(work, at + 3 * n, (s,)), cut(work, at + 3 * n + s, (s,))
     for k in range(len(C) // n):
         at, of = slice(k * n, (k + 1) * n), slice(k * s, (k + 1) * s)
         prior = priors[k * (n + 1) : (k + 1) * (n + 1)]
