@@ -184,6 +184,7 @@ def kernel(
     entry: bool = False,
     reorder: bool = False,
     allocates: bool = False,
+    apart: bool = False,
 ) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
@@ -201,9 +202,11 @@ def kernel(
     allocates
         Whether the function makes arrays. The others do not count references to arrays, which would cost them half
         of their time.
+    apart
+        Whether the function is not inlined, which halves the compiler's work on a long one.
     """
     if function is None:
-        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates)
+        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates, apart=apart)
     import numba
 
     _attend_to_compiling()
@@ -217,7 +220,7 @@ def kernel(
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
         options |= {"no_cpython_wrapper": not entry, "no_cfunc_wrapper": True}
         # Tables are many words to hand on at every call. Inlining would change sums that may be reordered.
-        options["forceinline"] = not (entry or reorder)
+        options["forceinline"] = not (entry or reorder or apart)
         options["nogil"] = entry  # several threads may estimate at a time
         return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:

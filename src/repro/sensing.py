@@ -32,7 +32,7 @@ _VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
 
 
 def cut(x, at, shape):
-    """Return a part of a flat array, in a shape. Slices and ``reshape`` in kernels take ten times as long to compile."""
+    """Return a part of a flat array, in a shape; unlike slices and ``reshape`` it takes little time to compile."""
     return x[at : at + math.prod(shape)].reshape(shape)
 
 
@@ -157,7 +157,8 @@ def room_for(t, x):
         cut(x, 0, (f, 3, 3)), cut(x, 9 * f, (f, 3)), cut(x, 12 * f, (f, 6, 6)),
         cut(x, at, (3, 4)), cut(x, at + 12, (6, 6)), cut(x, at + 48, (3, 3)),
         cut(x, at + 57, (m, 6)), cut(x, n + 57, (6,)), cut(x, n + 63, (m, 6)),
-        cut(x, n + 6 * m + 63, (4 * m + 1,)), cut(x, n + 10 * m + 64, (4 * m + 1,)), cut(x, n + 14 * m + 65, (m + 1, 6)),
+        cut(x, n + 6 * m + 63, (4 * m + 1,)), cut(x, n + 10 * m + 64, (4 * m + 1,)),
+        cut(x, n + 14 * m + 65, (m + 1, 6)),
     )  # fmt: skip
 
 
@@ -544,9 +545,9 @@ class Sensing:
         """For kernels: the tables, then weights and kinds of segments. Without a network there are no weights, and
         without IMUs or segments of other kinds than constant curvature no kinds: what these need is not compiled."""
 
-    def work(self, more: int = 0) -> Array:
-        """Return what kernels write to in one evaluation, behind it so many numbers more."""
-        return np.zeros(self._in_room + more)
+    def work(self) -> Array:
+        """Return what kernels write to in one evaluation."""
+        return np.zeros(self._in_room)
 
     def _moments(self, moments: ArrayLike | None, l_max: int) -> Array:
         n_m = len(self.robot.magnets)
