@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import functools
+import gc
 import hashlib
 import math
 import os
@@ -192,6 +193,7 @@ def kernel(
     entry: bool = False,
     reorder: bool = False,
     allocates: bool = False,
+    apart: bool = False,
 ) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
@@ -209,12 +211,14 @@ def kernel(
     allocates
         Whether the function makes arrays. The others do not count references to arrays, which would cost them half
         of their time.
+    apart
+        Whether the function is not inlined, which halves the compiler's work on a long one.
     """
     if function is None:
-        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates)
+        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates, apart=apart)
     import numba
 
-    _say_when_kernels_compile()
+    _attend_to_compiling()
     config: Any = numba.config  # type: ignore[attr-defined]
     before = config.CACHE_DIR
     folder = Path(before) if before else cache_folder() / "numba"
@@ -225,7 +229,7 @@ def kernel(
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "_nrt": allocates}
         options |= {"no_cpython_wrapper": not entry, "no_cfunc_wrapper": True}
         # Tables are many words to hand on at every call. Inlining would change sums that may be reordered.
-        options["forceinline"] = not (entry or reorder)
+        options["forceinline"] = not (entry or reorder or apart)
         options["nogil"] = entry  # several threads may estimate at a time
         return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
     finally:
@@ -233,28 +237,40 @@ def kernel(
 
 
 @functools.cache
-def _say_when_kernels_compile() -> None:
-    """Let numba tell of the first kernel that it compiles because none is on disk: that takes some seconds.
+def _attend_to_compiling() -> None:
+    """Let numba tell of the kernels that it compiles because they are not on disk: that takes some seconds.
 
-    One line says so, once a process, and none in a page of the book, for which ``REPRO_RESULTS`` is set.
+    One line says so, once a process, and none in a page of the book, for which ``REPRO_RESULTS`` is set. Meanwhile no
+    garbage is collected: a tenth of the time went into looking for it.
     """
     from numba.core import event
 
-    class Telling(event.Listener):
-        told = False
+    class Attending(event.Listener):
+        told = collects = False
+        within = 0
 
         def on_start(self, event: Any) -> None:
-            function = event.data["dispatcher"].py_func
-            if not self.told and function.__module__.startswith("repro."):
-                self.told = True
-                if "REPRO_RESULTS" not in os.environ:
-                    words = "Compiling for this machine once, about 20 s; later runs take it from disk."
-                    print(f"repro: {words}", file=sys.stderr)
+            if not _is_ours(event):
+                return
+            if not self.within:
+                self.collects = gc.isenabled()
+                gc.disable()
+            self.within += 1
+            if not self.told and "REPRO_RESULTS" not in os.environ:
+                words = "Compiling for this machine once, about 20 s; later runs take it from disk."
+                print(f"repro: {words}", file=sys.stderr)
+            self.told = True
 
         def on_end(self, event: Any) -> None:
-            pass
+            self.within -= _is_ours(event)
+            if self.collects and not self.within:
+                gc.enable()
 
-    event.register("numba:compile", Telling())
+    event.register("numba:compile", Attending())
+
+
+def _is_ours(event: Any) -> bool:
+    return event.data["dispatcher"].py_func.__module__.startswith("repro.")
 
 
 def cache_folder() -> Path:

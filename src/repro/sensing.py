@@ -18,6 +18,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numba import extending, types
+from numba.core import cgutils, imputils
+from numba.np import arrayobj
 
 from repro.chain import Frames, frames, kinds_of, turn
 from repro.common import Array, ArrayLike, bad_input, kernel, numbers, require, rows_of
@@ -26,6 +29,30 @@ from repro.networks import RELU, SILU, Layers, Network, nodes, predict
 from repro.parts import Assembly
 
 _VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
+
+
+def cut(x, at, shape):
+    """Return a part of a flat array, in a shape; unlike slices and ``reshape`` it takes little time to compile."""
+    return x[at : at + math.prod(shape)].reshape(shape)
+
+
+@extending.type_callable(cut)
+def _type_of_cut(_):
+    return lambda x, at, shape: x.copy(ndim=len(shape), layout="C")
+
+
+@extending.lower_builtin(cut, types.Array, types.Integer, types.BaseTuple)
+def _lower_cut(context, builder, signature, given):
+    own, (of_x, of_at, of_shape) = signature.return_type, signature.args
+    x, found = context.make_array(of_x)(context, builder, given[0]), context.make_array(own)(context, builder)
+    sizes = zip(cgutils.unpack_tuple(builder, given[2]), of_shape, strict=True)
+    shape = [context.cast(builder, n, kind, types.intp) for n, kind in sizes]
+    strides = [x.itemsize]
+    for n in shape[:0:-1]:
+        strides.insert(0, builder.mul(n, strides[0]))
+    data = builder.gep(x.data, [context.cast(builder, given[1], of_at, types.intp)])
+    arrayobj.populate_array(found, data, shape, strides, x.itemsize, x.meminfo)
+    return imputils.impl_ret_borrowed(context, builder, own, found._getvalue())
 
 
 class Tables(NamedTuple):
@@ -71,16 +98,18 @@ def pack(t: Tables) -> tuple[Array, Array]:
 @kernel(allocates=True)
 def unpack(i, x):
     """Return the tables as views of the two arrays, by their order in the lists of ``pack``."""
-    chain = Frames(
-        i[i[1] : i[2]], x[i[11] : i[12]].reshape(-1, 6), i[i[2] : i[3]], i[i[3] : i[4]],
-        x[i[12] : i[13]], i[i[4] : i[5]],
-    )  # fmt: skip
     terms, angles, silu = i[i[0]], i[i[0] + 1] == 1, i[i[0] + 2] == 1
+    segments, frames, magnets = i[2] - i[1], i[4] - i[3], i[6] - i[5]
+    rows, imus, layers = i[7] - i[6], i[8] - i[7], i[10] - i[9]
+    chain = Frames(
+        cut(i, i[1], (segments,)), cut(x, i[11], (segments, 6)), cut(i, i[2], (segments + 1,)),
+        cut(i, i[3], (frames,)), cut(x, i[12], (frames,)), cut(i, i[4], (segments,)),
+    )  # fmt: skip
     return Tables(
-        chain, i[i[5] : i[6]], x[i[13] : i[14]].reshape(-1, 6), i[i[6] : i[7]],
-        x[i[14] : i[15]].reshape(-1, 6), i[i[7] : i[8]], x[i[15] : i[16]].reshape(-1, 3, 3),
-        x[i[16] : i[17]].reshape(-1, terms), x[i[17] : i[18]], x[i[18] : i[19]], x[i[19] : i[20]],
-        angles, i[i[8] : i[9]], i[i[9] : i[10]], silu,
+        chain, cut(i, i[5], (magnets,)), cut(x, i[13], (magnets, 6)), cut(i, i[6], (rows,)),
+        cut(x, i[14], (rows, 6)), cut(i, i[7], (imus,)), cut(x, i[15], (imus, 3, 3)),
+        cut(x, i[16], (magnets, terms)), cut(x, i[17], (rows,)), cut(x, i[18], (rows,)), cut(x, i[19], (3,)),
+        angles, cut(i, i[8], (rows,)), cut(i, i[9], (layers,)), silu,
     )  # fmt: skip
 
 
@@ -114,16 +143,22 @@ class Room(NamedTuple):
     """Force and torque of every magnet on the sensor at hand; last the torque of the Earth's field."""
 
 
+def numbers_in_room(t):
+    """Return how many numbers one evaluation writes."""
+    return 48 * len(t.chain.v) + 26 * len(t.magnet_frame) + 71
+
+
 @kernel(allocates=True)
-def room_for(t):
-    """Return the room for one evaluation, cut from few arrays: each kind that is made takes time to compile."""
+def room_for(t, x):
+    """Return the room for one evaluation, cut from one array."""
     f, m = len(t.chain.v), len(t.magnet_frame)
-    frames, pairs, rest = np.zeros(48 * f), np.zeros(26 * m + 14), np.zeros(57)
+    at, n = 48 * f, 48 * f + 6 * m
     return Room(
-        frames[: 9 * f].reshape(f, 3, 3), frames[9 * f : 12 * f].reshape(f, 3), frames[12 * f :].reshape(f, 6, 6),
-        rest[:12].reshape(3, 4), rest[12:48].reshape(6, 6), rest[48:].reshape(3, 3),
-        pairs[: 6 * m].reshape(m, 6), pairs[6 * m : 6 * m + 6], pairs[6 * m + 6 : 12 * m + 6].reshape(m, 6),
-        pairs[12 * m + 6 : 16 * m + 7], pairs[16 * m + 7 : 20 * m + 8], pairs[20 * m + 8 :].reshape(m + 1, 6),
+        cut(x, 0, (f, 3, 3)), cut(x, 9 * f, (f, 3)), cut(x, 12 * f, (f, 6, 6)),
+        cut(x, at, (3, 4)), cut(x, at + 12, (6, 6)), cut(x, at + 48, (3, 3)),
+        cut(x, at + 57, (m, 6)), cut(x, n + 57, (6,)), cut(x, n + 63, (m, 6)),
+        cut(x, n + 6 * m + 63, (4 * m + 1,)), cut(x, n + 10 * m + 64, (4 * m + 1,)),
+        cut(x, n + 14 * m + 65, (m + 1, 6)),
     )  # fmt: skip
 
 
@@ -362,13 +397,13 @@ def turned(n_s, u, u_hat, r, A, B, W):
 
 
 @kernel(entry=True, allocates=True)
-def _batch(ints, floats, weights, kinds, q, task, u, J, extra):
+def _batch(ints, floats, weights, kinds, work, q, task, u, J, extra):
     """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.
 
-    ``extra`` takes the relations or the wrenches.
+    ``work`` is room for one evaluation. ``extra`` takes the relations or the wrenches.
     """
     t = unpack(ints, floats)
-    network, room = network_for(t, weights), room_for(t)
+    network, room = network_for(t, weights), room_for(t, work)
     for n in range(len(q)):
         if task <= _SLOPES:
             evaluate(kinds, network, t, q[n], task == _SLOPES, u[n], J[n if task == _SLOPES else 0], room)
@@ -505,9 +540,14 @@ class Sensing:
         )
         kinds = chain.kind if robot.imus else kinds_of(chain)
         weights = np.stack([network.weights for network in networks]) if networks else None
+        self._in_room = numbers_in_room(self.tables)
         self.packed = (*pack(self.tables), weights, kinds)
         """For kernels: the tables, then weights and kinds of segments. Without a network there are no weights, and
         without IMUs or segments of other kinds than constant curvature no kinds: what these need is not compiled."""
+
+    def work(self) -> Array:
+        """Return what kernels write to in one evaluation."""
+        return np.zeros(self._in_room)
 
     def _moments(self, moments: ArrayLike | None, l_max: int) -> Array:
         n_m = len(self.robot.magnets)
@@ -557,7 +597,7 @@ class Sensing:
         q = self.robot.check_q(q, "Sensing")
         xi = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 1 + 4 * len(self.robot.magnets)))
         ints, floats, _, kinds = self.packed
-        _batch(ints, floats, None, kinds, rows_of(q), _RELATIONS, _NO_ROWS, _NO_SLOPES, xi)
+        _batch(ints, floats, None, kinds, self.work(), rows_of(q), _RELATIONS, _NO_ROWS, _NO_SLOPES, xi)
         return xi.reshape(*q.shape[:-1], *xi.shape[1:])
 
     def too_near(self, q: ArrayLike) -> Array:
@@ -573,7 +613,7 @@ class Sensing:
         """Return the predicted readings ``[..., s]`` at configurations ``[..., n_q]``."""
         q = self.robot.check_q(q, "Sensing")
         u = np.empty((*q.shape[:-1], self.n_readings))
-        _batch(*self.packed, rows_of(q), _VALUES, rows_of(u), _NO_SLOPES, _NO_SLOPES)
+        _batch(*self.packed, self.work(), rows_of(q), _VALUES, rows_of(u), _NO_SLOPES, _NO_SLOPES)
         return u
 
     def linearise(self, q: ArrayLike) -> tuple[Array, Array]:
@@ -584,7 +624,7 @@ class Sensing:
         q = self.robot.check_q(q, "Sensing")
         u = np.empty((*q.shape[:-1], self.n_readings))
         J = np.empty((math.prod(q.shape[:-1]), self.n_readings, self.n_q))
-        _batch(*self.packed, rows_of(q), _SLOPES, rows_of(u), J, _NO_SLOPES)
+        _batch(*self.packed, self.work(), rows_of(q), _SLOPES, rows_of(u), J, _NO_SLOPES)
         return u, J.reshape(*u.shape, self.n_q)
 
     def difference(self, u: ArrayLike, u_hat: ArrayLike) -> Array:
@@ -608,7 +648,7 @@ class Sensing:
         q = self.robot.check_q(q, "Sensing")
         u = np.empty((*q.shape[:-1], self.n_magnetic))
         wrench = np.empty((math.prod(q.shape[:-1]), self.n_magnetic, 6 * (len(self.robot.magnets) + 1)))
-        _batch(*self.packed, rows_of(q), _WRENCHES, rows_of(u), _NO_SLOPES, wrench)
+        _batch(*self.packed, self.work(), rows_of(q), _WRENCHES, rows_of(u), _NO_SLOPES, wrench)
         return u, wrench.reshape(*u.shape, -1, 6)
 
 

@@ -191,7 +191,7 @@ class GradientDescent:
         found = (q.copy(), b.copy(), np.empty_like(rows), np.tile([np.inf, 0.0], (len(q), 1)))
         if self.model.compiled:
             settings = (self._limits, self.momentum, self.iterations)
-            _descend(*self.model.packed, rows, moves, *settings, *found)
+            _descend(*self.model.packed, self.model.work(), rows, moves, *settings, *found)
         else:
             self._descend_callable(rows, moves, *found)
         return found
@@ -223,10 +223,10 @@ class GradientDescent:
 
 
 @kernel(entry=True, allocates=True)
-def _descend(ints, floats, weights, kinds, u, moves, limits, momentum, iterations, q, b, u_hat, status):
+def _descend(ints, floats, weights, kinds, work, u, moves, limits, momentum, iterations, q, b, u_hat, status):
     """Descend for every member of a batch."""
     t, n, s = unpack(ints, floats), q.shape[1], u.shape[1]
-    network, room = network_for(t, weights), room_for(t)
+    network, room = network_for(t, weights), room_for(t, work)
     x, hat, r, J = np.zeros(n), np.zeros(s), np.zeros(s), np.zeros((s, n))
     for k in range(len(q)):
         x[:] = q[k]

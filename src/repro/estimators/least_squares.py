@@ -43,7 +43,7 @@ from repro.estimators.base import (
     spread,
     start,
 )
-from repro.sensing import difference, evaluate, network_for, room_for, turned, unpack
+from repro.sensing import cut, difference, evaluate, network_for, room_for, turned, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
@@ -262,7 +262,11 @@ class LevenbergMarquardt(Tuned):
         at_bound, status, counts = np.empty(of_q, bool), np.empty(of_status), np.empty(of_counts, int)
         flat = in_line(batch, held, rows, found, C, u_hat, at_bound, status, counts)
         arrays = (self._settings, by_bounds, priors, *flat)
-        good = _fit(*self.model.packed, *arrays) if self.model.compiled else self._fit_callable(*arrays)
+        if self.model.compiled:
+            own = np.zeros(_numbers_in_fit(n, self.model.n_readings))
+            good = _fit(*self.model.packed, self.model.work(), own, *arrays)
+        else:
+            good = self._fit_callable(*arrays)
         if not good:
             rest = None if prior is not None else each(q if rest is None else rest, batch, n)
             self._settle(rest, each(q, batch, n), *flat)
@@ -347,12 +351,19 @@ def bounded_inverse(A: Array, held: Array) -> Array:
     return np.where(np.outer(free, free), C, 0.0)
 
 
+def _numbers_in_fit(n: int, s: int) -> int:
+    """Return how many numbers ``_fit`` writes besides the room for one evaluation."""
+    return 2 * n * n + (s + 3) * n + 2 * s
+
+
 @kernel(entry=True, allocates=True)
 def _fit(
     ints,
     floats,
     weights,
     kinds,
+    work,
+    own,
     settings,
     by_bounds,
     priors,
@@ -365,18 +376,20 @@ def _fit(
     status,
     counts,
 ):
-    """Fit every member of a batch; members stand one after the other."""
-    t, n = unpack(ints, floats), C.shape[1]
-    network, room = network_for(t, weights), room_for(t)
-    s = len(settings) - 2 * n - 2
-    x, g, A = np.zeros(n), np.zeros(n), np.zeros(n * n).reshape(n, n)
-    hat, r, J = np.zeros(s), np.zeros(s), np.zeros(s * n).reshape(s, n)
-    delta, L, good = np.zeros(n), np.zeros(n * n).reshape(n, n), True
+    """Fit every member of a batch; members stand one after the other.
+
+    ``work`` and ``own`` are room. In one array the compiler would relate all their addresses, which takes it long.
+    """
+    t, n, s = unpack(ints, floats), C.shape[1], len(settings) - 2 * C.shape[1] - 2
+    network, room, good = network_for(t, weights), room_for(t, work), True
+    A, L, J = cut(own, 0, (n, n)), cut(own, n * n, (n, n)), cut(own, 2 * n * n, (s, n))
+    at = 2 * n * n + s * n
+    x, g, delta = cut(own, at, (n,)), cut(own, at + n, (n,)), cut(own, at + 2 * n, (n,))
+    hat, r = cut(own, at + 3 * n, (s,)), cut(own, at + 3 * n + s, (s,))
     for k in range(len(C) // n):
-        at, of = slice(k * n, (k + 1) * n), slice(k * s, (k + 1) * s)
-        prior = priors[k * (n + 1) : (k + 1) * (n + 1)]
-        own_held, row, best, best_hat = held[at], u[of], q[at], u_hat[of]
-        says = status[k * _FIELDS : (k + 1) * _FIELDS]
+        at, of, width = k * n, k * s, n + 1 if len(priors) else 0
+        prior, own_held, best = cut(priors, at * width, (width, n)), cut(held, at, (n,)), cut(q, at, (n,))
+        row, best_hat, says = cut(u, of, (s,)), cut(u_hat, of, (s,)), cut(status, k * _FIELDS, (_FIELDS,))
         _begin(says)
         for a in range(n):
             x[a] = best[a]
@@ -401,9 +414,12 @@ def _fit(
                 delta,
                 L,
             )
-        end = _finish(
-            settings, by_bounds, A, best, own_held, L, C[at], at_bound[at], says, counts[_COUNTS * k :]
+        own_C, stopped, found = (
+            cut(C, at * n, (n, n)),
+            cut(at_bound, at, (n,)),
+            cut(counts, k * _COUNTS, (_COUNTS,)),
         )
+        end = _finish(settings, by_bounds, A, best, own_held, L, own_C, stopped, says, found)
         good = good and end
     return good
 
@@ -456,7 +472,7 @@ def _begin(status):
     status[CHI2], status[TURN] = math.inf, -1.0
 
 
-@kernel
+@kernel(apart=True)
 def _finish(settings, by_bounds, A, q, held, L, C, at_bound, status, counts):
     """Write the covariance, which bounds stopped the fit, and how many directions the readings see.
 
@@ -506,7 +522,7 @@ def _directions_seen(A, by_bounds, L):
     return seen
 
 
-@kernel
+@kernel(apart=True)
 def advance(hat, r, J, settings, prior, held, x, q, u_hat, A, g, status, delta, L):
     """Judge the trial ``x``, whose residuals are ``r`` and slopes ``J``, and write the next one to ``x``.
 
