@@ -264,7 +264,7 @@ class LevenbergMarquardt(Tuned):
         arrays = (self._settings, by_bounds, priors, *flat)
         if self.model.compiled:
             own = np.zeros(_numbers_in_fit(n, self.model.n_readings))
-            good = _fit(*self.model.packed, self.model.work(), own, *arrays)
+            good = _fit(self.model.packed, self.model.work(), own, *arrays)
         else:
             good = self._fit_callable(*arrays)
         if not good:
@@ -357,29 +357,12 @@ def _numbers_in_fit(n: int, s: int) -> int:
 
 
 @kernel(entry=True, allocates=True)
-def _fit(
-    ints,
-    floats,
-    weights,
-    kinds,
-    work,
-    own,
-    settings,
-    by_bounds,
-    priors,
-    held,
-    u,
-    q,
-    C,
-    u_hat,
-    at_bound,
-    status,
-    counts,
-):
+def _fit(packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts):
     """Fit every member of a batch; members stand one after the other.
 
     ``work`` and ``own`` are room. In one array the compiler would relate all their addresses, which takes it long.
     """
+    ints, floats, weights, kinds = packed
     t, n, s = unpack(ints, floats), C.shape[1], len(settings) - 2 * C.shape[1] - 2
     network, room, good = network_for(t, weights), room_for(t, work), True
     A, L, J = cut(own, 0, (n, n)), cut(own, n * n, (n, n)), cut(own, 2 * n * n, (s, n))
