@@ -642,14 +642,14 @@ def test_pages_are_told_of_the_end(stream):
 
 
 def test_a_server_that_does_not_end_is_left_alone(stream, monkeypatch):
-    stuck, free, before = threading.Event(), threading.Event(), threading.active_count()
+    stuck, free, over, before = *(threading.Event() for _ in range(3)), threading.active_count()
     monkeypatch.setattr(view_module, "LEFT_S", 0.2)
-    monkeypatch.setattr(view_module, "message", lambda _: stuck.set() or free.wait(60))
+    monkeypatch.setattr(view_module, "message", lambda _: [stuck.set(), free.wait(20), over.set()])
     server = PageServer(session_of(sent(U[:50])))
     with server:
         stream(server)
         assert stuck.wait(30)
-    assert not free.is_set()  # the end of the session did not wait for the page
+    assert not over.is_set(), "the end of the session did not wait for the page"
     free.set()
     until(lambda: threading.active_count() == before, 30)
 

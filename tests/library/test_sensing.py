@@ -18,14 +18,15 @@ from repro import (
     Robot,
     Sensing,
     Sensor,
+    load_robot,
     simulated_readings,
 )
 from repro.networks import Network, load_network, network_of
-from repro.sensing import relations
+from repro.sensing import numbers_in_room, relations, room_for
 
 from .robots import CHAINS, STORED, chain, complex_pose, configuration, paper_robot
 
-NETWORKS = Path(__file__).parents[2] / "data" / "networks"
+NETWORKS, ROBOTS = (Path(__file__).parents[2] / "data" / name for name in ("networks", "robots"))
 
 
 def by_complex_poses(robot: Robot, q: np.ndarray, moments: np.ndarray, earth: np.ndarray) -> np.ndarray:
@@ -222,3 +223,12 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("name", ["one_segment", "three_segments", "imu_arm"])
+def test_the_room_of_an_evaluation_is_cut_without_overlap_or_rest(name):
+    """In machine code nobody would notice: a cut does not look whether it ends within its array."""
+    tables = load_robot(ROBOTS / f"{name}.toml").sensing().tables
+    numbers = np.arange(float(numbers_in_room(tables)))
+    room = room_for.py_func(tables, numbers)
+    np.testing.assert_array_equal(np.sort(np.concatenate([part.ravel() for part in room])), numbers)
