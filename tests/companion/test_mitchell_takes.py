@@ -168,7 +168,7 @@ def test_the_page_finds_gain_and_events_in_files(tmp_path, monkeypatch):
     np.testing.assert_allclose(nominal["gain"], GAIN, rtol=0.01)
     assert nominal["turn_deg"].abs().max() < 1
     assert nominal["error_deg"].max() < 1
-    rmse_deg = page["real"]["rmse_deg"]
+    rmse_deg = page["medians"].set_index("name")["rmse_deg"]
     assert rmse_deg.filter(like="ratios, calibrated").max() < 0.5
     assert f"paper's filter, arc from nominal bends, {13 * GAIN ** (-1 / 3):.1f} mm" in rmse_deg
     events = page["counts"].set_index("frozen").loc[True]
