@@ -100,6 +100,7 @@ def test_a_page_outside_of_the_project_stops_in_its_first_cell(page, tmp_path, m
 def test_a_page_refuses_a_text_for_a_number_in_its_first_cell(page):
     """As plain papermill hands it on; what the notebook itself declares is allowed, and whole numbers for any."""
     parameters, first, *_ = sources(page, "code")
+    assert not ast.unparse(ast.parse(first).body[-1]).startswith("checked("), "or the page shows its folder"
     given: dict[str, object] = {}
     exec(parameters, given)
     assert checked(page, given) == ROOT
