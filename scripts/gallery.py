@@ -85,7 +85,7 @@ def section(name: str, said: str) -> str:
 :width: 360px
 ```
 
-`repro check {name}.toml`: *{said}*
+`repro check {name}.toml`: *{said}* {{download}}`Download the file <../data/robots/gallery/{name}.toml>`
 
 ```{{dropdown}} {name}.toml
 ~~~toml

@@ -1140,4 +1140,5 @@ def errors_in_words(errors: pd.DataFrame) -> str:
         " to calibrate on, or an output of the authors that covers them. **Which axis is the bend?** We take the tilt"
         " of the body's y axis, which points up in these exports: the body moves to where y tilts. The released code"
         " takes the tilt of z, and against it (*against z*) the order of the methods is another."
+        " Our ratios are calibrated on the tilt of y, so a comparison with y favours them."
     )
