@@ -32,8 +32,8 @@ _VALUES, _SLOPES, _RELATIONS, _WRENCHES = range(4)
 
 
 def cut(x, at, shape):
-    """Return a part of a flat array, in a shape; unlike slices and ``reshape`` it takes little time to compile."""
-    return x[at : at + math.prod(shape)].reshape(shape)
+    """Return a part of a contiguous array from its ``at``-th number on; slices take much longer to compile."""
+    return x.reshape(-1)[at : at + math.prod(shape)].reshape(shape)
 
 
 @extending.type_callable(cut)

@@ -26,7 +26,7 @@ _LATE_S, _LATE_SHARE = 1.0, 1e-3
 POSES = 20
 """So many places of the backbone are written for each estimate."""
 _DECIMALS = 5
-"""Of their positions [m] and quaternions: 0.01 mm is less than any camera resolves, and more digits treble a file."""
+"""Of their positions [m] and quaternions: 0.01 mm is less than any camera resolves."""
 Json = dict[str, Any]
 
 

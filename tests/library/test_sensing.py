@@ -22,7 +22,7 @@ from repro import (
     simulated_readings,
 )
 from repro.networks import Network, load_network, network_of
-from repro.sensing import numbers_in_room, relations, room_for
+from repro.sensing import cut, numbers_in_room, relations, room_for
 
 from .robots import CHAINS, STORED, chain, complex_pose, configuration, paper_robot
 
@@ -223,6 +223,14 @@ SMALL = Network([(np.zeros((1, 5)), np.zeros(1))], "relu", "angles")
 def test_what_cannot_be_is_refused_in_words(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_part_is_cut_at_its_number_and_shares_memory_also_without_machine_code():
+    rows = np.arange(12.0).reshape(4, 3)
+    np.testing.assert_array_equal(cut(rows, 3, (2, 3)), rows[1:3])
+    cut(rows, 9, (3,))[:] = 0
+    np.testing.assert_array_equal(rows[3], 0)
+    np.testing.assert_array_equal(rows[2], [6, 7, 8])
 
 
 @pytest.mark.parametrize("name", ["one_segment", "three_segments", "imu_arm"])
