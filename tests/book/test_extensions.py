@@ -186,7 +186,7 @@ def test_helpers_are_found_where_they_are_written():
     sources = importlib.import_module("repro_sources")
     code = """
 import numpy as np
-from repro_companion import plots
+from repro_companion.plots import style as plots
 from repro_companion.papers import baaij as b
 from repro_companion.show import project_folder, save
 
@@ -196,7 +196,7 @@ np.eye(3); save(b.stills(plots.WIDTH), "x"); project_folder(); other.stills()
         "save": ("repro_companion.show", "save"),
         "project_folder": ("repro_companion.run", "project_folder"),
         "b.stills": ("repro_companion.papers.baaij", "stills"),
-        "plots.WIDTH": ("repro_companion.plots", "WIDTH"),
+        "plots.WIDTH": ("repro_companion.plots.style", "WIDTH"),
     }
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from repro_companion import plots
 from repro_companion.papers import baaij
+from repro_companion.plots import simulated_robots as plots
 from repro_companion.scorecard import published, scorecard
 from repro_companion.show import project_folder
 
