@@ -329,7 +329,7 @@ def against_lines() -> float:
     sensing = repro.Sensing(robot)
 
     def live() -> list[Any]:
-        parser, steps, follower = Parser("csv", robot.n_readings), Steps(robot, "arrival"), Follower(robot)
+        parser, steps, follower = Parser("csv", robot.n_readings), Steps(robot), Follower(robot)
         rows = [step for k, line in enumerate(lines) for step in steps.feed(parser.feed(line), 0.01 * k)]
         return [follower.step(step.u, step.time_s) for step in rows]
 

@@ -255,7 +255,7 @@ def _deviations(seen: _Seen, off: Array) -> tuple[Array, Array, Array, Array]:
     ``off`` is by how much parts may move the readings.
     """
     H, tips = seen.H, seen.tips
-    values, vectors = np.linalg.eigh(np.swapaxes(H, 1, 2) @ H)
+    values, vectors = np.linalg.eigh(H.mT @ H)
     empty = values <= 1e-12 * np.maximum(values[:, -1:], 1.0)
     inverse = np.where(empty, 0.0, 1 / np.where(empty, 1.0, values))
     along = np.square(tips @ vectors).sum(1)
@@ -264,7 +264,7 @@ def _deviations(seen: _Seen, off: Array) -> tuple[Array, Array, Array, Array]:
     tip = np.where(lost, np.inf, np.sqrt((along * inverse).sum(1)))
     left = 1 / (1 + np.maximum(values, 0.0))
     within = (along * left).sum(1)
-    gain = tips @ (vectors * left[:, None]) @ np.swapaxes(H @ vectors, 1, 2) / seen.noise
+    gain = tips @ (vectors * left[:, None]) @ (H @ vectors).mT / seen.noise
     built = np.sqrt(within + np.square(gain @ off).sum((1, 2)))
     hardly = np.square(vectors) * (left > _UNDETERMINED**2)[:, None]
     return tip, np.sqrt(within), built, hardly.sum(-1).mean(0)
@@ -347,7 +347,7 @@ def _off_drawing(robot: Assembly, sensing: Sensing, q: Array) -> Array:
 
 def _added(robot: Assembly, H: Array) -> dict[str, float]:
     def information(rows: Array) -> Array:
-        return np.linalg.slogdet(np.swapaxes(rows, 1, 2) @ rows + np.eye(H.shape[-1]))[1]
+        return np.linalg.slogdet(rows.mT @ rows + np.eye(H.shape[-1]))[1]
 
     whole = information(H)
     return {

@@ -30,6 +30,7 @@ _FEWER, _MORE, _OTHER = 2, 3, 0.2
 """Chips fewer and more than the design has that are tried, and the share of the layouts for each number."""
 _SHAPES = 64
 """Random shapes in which a layout is tried."""
+_ENOUGH = "This design needs no better one. State a smaller target to look for one."
 _NO_HELP = 0.01
 """A change that makes the deviation smaller by less than this share is not made."""
 
@@ -134,8 +135,7 @@ def improve_design(
     before = check_design(robot, samples=samples, seed=seed)
     stays = Improvement(**vars(before), robot=robot, before=before, remarks=(), changes=(), by_chips=())
     if not falls_short(before, target, as_built):
-        enough = "This design needs no better one. State a smaller target to look for one."
-        return replace(stays, remarks=(enough,))
+        return replace(stays, remarks=(_ENOUGH,))
     start, remark = _with_freedom(robot)
     budget = int(tries * (_AS_BUILT if as_built else 1.0))
     found = _Search(as_built, seed, budget, show or (lambda _: None)).by_chips(start)
@@ -402,9 +402,10 @@ def _in_words(old: Assembly, new: Assembly, kind: str, k: int) -> str:
 
 def _nearer(robot: Assembly, was: Place, now: Place) -> tuple[float, int]:
     """Return by how much a place is nearer to its magnet at rest [mm], and which magnet that is."""
-    middle = (np.asarray(robot.lower) + np.asarray(robot.upper)) / 2
-    shape = middle if robot.start is None else robot.start
-    p = 1e3 * robot.poses(shape, [was, now, *(magnet.place for magnet in robot.magnets)])[:, :3, 3]
+    p = (
+        1e3
+        * robot.poses(robot.usual_shape, [was, now, *(magnet.place for magnet in robot.magnets)])[:, :3, 3]
+    )
     far = np.linalg.norm(p[2:] - p[1], axis=1)
     magnet = int(far.argmin())
     return float(np.linalg.norm(p[2 + magnet] - p[0]) - far[magnet]), magnet + 1

@@ -335,12 +335,12 @@ def simulated_readings(robot: Assembly, q: ArrayLike, earth_mt: ArrayLike | None
     if robot.sensors:
         R, axes = T[..., None, :n_m, :3, :3], T[..., n_m : n_m + n_s, :3, :3]
         offset = T[..., n_m : n_m + n_s, None, :3, 3] - T[..., None, :n_m, :3, 3]
-        local = (np.swapaxes(R, -1, -2) @ offset[..., None])[..., 0]
+        local = (R.mT @ offset[..., None])[..., 0]
         B = np.broadcast_to(earth[..., None, :], (*q.shape[:-1], n_s, 3)).copy()
         for shape in dict.fromkeys(magnet.shape for magnet in robot.magnets):  # one call of magpylib each
             own = [k for k, magnet in enumerate(robot.magnets) if magnet.shape == shape]
             B += (R[..., own, :, :] @ shape.field(local[..., own, :])[..., None])[..., 0].sum(-2)
-        read = (np.swapaxes(axes, -1, -2) @ B[..., None])[..., 0]
+        read = (axes.mT @ B[..., None])[..., 0]
         columns += [read[..., j, -sensor.axes :] for j, sensor in enumerate(robot.sensors)]
     if robot.imus:
         turns = Rotation.from_matrix(T[..., n_m + n_s :, :3, :3].reshape(-1, 3, 3)).as_rotvec()

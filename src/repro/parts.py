@@ -303,6 +303,13 @@ class Assembly(Chain):
         return np.concatenate(found)
 
     @cached_property
+    def usual_shape(self) -> Array:
+        """Where it starts ``[n_q]``; else the middle of its bounds, or straight without bounds."""
+        if self.lower is None or self.upper is None:
+            return np.zeros(self.n_q) if self.start is None else self.start
+        return (self.lower + self.upper) / 2 if self.start is None else self.start
+
+    @cached_property
     def part_names(self) -> tuple[str, ...]:
         """Names of the sensors and IMUs, each of which may give several readings."""
         named = [(x.name, f"sensor {k}") for k, x in enumerate(self.sensors, 1)]

@@ -59,7 +59,7 @@ def plot_robot(
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 
-    given = _usual_shape(robot) if q is None else robot.check_q(q, "plot")
+    given = robot.usual_shape if q is None else robot.check_q(q, "plot")
     shapes = np.atleast_2d(given)
     require(shapes.ndim == 2, "q", "plot", "of shape (n_q) or (k, n_q)", f"shape {shapes.shape}")
     names = [None] * len(shapes) if labels is None else list(labels)
@@ -82,14 +82,6 @@ def plot_robot(
             if ax.figure.bbox.containsx(box.x0) and ax.figure.bbox.contains(box.x1, box.y1):
                 break
     return ax
-
-
-def _usual_shape(robot: Assembly) -> Array:
-    if robot.start is not None:
-        return robot.start
-    if robot.lower is None or robot.upper is None:
-        return np.zeros(robot.n_q)
-    return (robot.lower + robot.upper) / 2
 
 
 def _tones(usual: Sequence[Any], n: int) -> Sequence[Any]:

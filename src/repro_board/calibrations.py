@@ -40,7 +40,7 @@ def with_poses(
     Returns the robot, what was found of its magnets and sensors, all readings with the frames of the IMUs undone, and
     the words for it.
     """
-    found, words, n = None, [], sum(sensor.axes for sensor in robot.sensors)
+    found, words, n = None, [], robot.n_magnetic
     known = np.flatnonzero(np.isfinite(q).all(1))
     known = known[alike(q[known], unwrapped(robot, u[known]))]
     for _ in range(2 if robot.sensors else 0):
@@ -101,7 +101,7 @@ def by_motion(robot: Robot, u: Array) -> tuple[Calibration, str]:
     _judge([in_words(robot, name) for name in changes], np.abs(estimate) / tolerance, spread)
     moved = placed(robot, dict(zip(changes, estimate.tolist(), strict=True)))
     quality = (spread, len(motion.u), math.sqrt(before), math.sqrt(spread))
-    exact = np.zeros([sum(sensor.axes for sensor in robot.sensors)] * 2)
+    exact = np.zeros([robot.n_magnetic] * 2)
     deviation = np.sqrt(np.diag(C)) * tolerance
     found = Calibration(moved, robot, tuple(changes), estimate, deviation, tolerance, C, *quality, exact)
     return found, _told(found, len(motion.u), int((fitted.last.details > motion.gate).sum()))

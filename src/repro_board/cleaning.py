@@ -93,7 +93,7 @@ def without_spikes(robot: Robot, q: Array, u: Array, t: Array, lines: list[str])
 
     Orientations are whole, or missing.
     """
-    u, n = u.copy(), sum(sensor.axes for sensor in robot.sensors)
+    u, n = u.copy(), robot.n_magnetic
     drawn = robot.sensing()(q[np.isfinite(q).all(1)])[:, :n]
     off = np.abs(u[:, :n] - np.nanmedian(u[:, :n], axis=0))
     usual = np.maximum(SPIKE * 1.4826 * np.nanmedian(off, axis=0), 2 * np.ptp(drawn, axis=0))

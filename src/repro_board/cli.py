@@ -518,9 +518,10 @@ def emulate(
     """
     from repro_board.emulate import emulate as play
 
+    require(socket is None or port_file is None, "port_file", "emulate", "left out with socket", port_file)
     return play(
-        source, rate_hz=rate, speed=speed, loop=loop, tolerances=tolerances, hold_poses=hold_poses, hold_s=hold,
-        faults=fault or (), fault_from=fault_from, seed=seed, port_file=port_file, socket=socket,
+        source, port_file or socket or 0, rate_hz=rate, speed=speed, loop=loop, tolerances=tolerances,
+        hold_poses=hold_poses, hold_s=hold, faults=fault or (), fault_from=fault_from, seed=seed,
     )  # fmt: skip
 
 

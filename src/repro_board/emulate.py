@@ -13,6 +13,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from socket import create_server
@@ -77,6 +78,8 @@ along x, and ``noise``, how many times larger it is than stated.
 
 Faults = Mapping[str, object] | Iterable[tuple[str, object]]
 """Names and values."""
+Motion = Callable[[Array], Array]
+"""From times [s] to configurations ``[t, n_q]``."""
 
 
 def course(robot: Robot, times: ArrayLike, *, seed: int = 0) -> Array:
@@ -275,9 +278,8 @@ def _fields(robot: Robot, q: Array) -> Array:
 
 
 def _blocks(
-    robot: Robot, motion: Callable[[Array], Array], rate_hz: float, faults: Mapping[str, float], since_s: float,
-    seed: int,
-) -> Iterator[tuple[Array, Array]]:  # fmt: skip
+    robot: Robot, motion: Motion, rate_hz: float, faults: Mapping[str, float], since_s: float, seed: int
+) -> Iterator[tuple[Array, Array]]:
     """Yield times [s] and readings ``[t, s]`` [mT, rad] of a robot in motion, with noise and faults of sensors."""
     rng, size = np.random.default_rng([seed, 2]), max(1, round(_AHEAD_S * rate_hz))
     noise = robot.per_reading("noise", 0.0, 0.0) if robot.noise is None else robot.noise
@@ -314,7 +316,7 @@ def _readings(
     robot: Robot, form: str, blocks: Iterable[tuple[Array, Array]]
 ) -> Iterator[tuple[float, int, Array]]:
     """Yield time, stream and values of readings."""
-    n = sum(sensor.axes for sensor in robot.sensors)
+    n = robot.n_magnetic
     places = [x - 1 if isinstance(x, int) else k for k, x in enumerate(_channels(robot))]
     low, high, decimals = _CARRIED.get(form, (-math.inf, math.inf, 15))
     for times, u in blocks:
@@ -361,9 +363,8 @@ def _format(robot: Robot) -> str:
 
 
 def board_bytes(
-    source: Robot | Recording, *, rate_hz: float | None = None, poses: Array | None = None, hold_s: float = 2.0,
-    tolerances: float = 0.0, loop: bool = False, faults: Faults = (),
-    fault_from: float = 0.0, seed: int = 0,
+    source: Robot | Recording, *, rate_hz: float | None = None, motion: Motion | None = None,
+    tolerances: float = 0.0, loop: bool = False, faults: Faults = (), fault_from: float = 0.0, seed: int = 0,
 ) -> Iterator[tuple[float, bytes]]:  # fmt: skip
     """Yield when a board sends [s], and what; no bytes at all: its port disappears until the next ones.
 
@@ -373,9 +374,9 @@ def board_bytes(
         A robot, whose file says format and rate of its board (frames without a file), or a recording.
     rate_hz
         Readings of a robot per second; as its file says if not given.
-    poses, hold_s
-        Configurations ``[n, n_q]`` in which the robot is held one after the other, for so long [s]. Without them it
-        moves for ever.
+    motion
+        From times [s] to configurations ``[t, n_q]`` of a robot, such as :func:`held` has them; by default it goes
+        through its bounds for ever, as :func:`course` does.
     tolerances
         How far the robot is from its file: 0 as described, 1 as :func:`repro.calibrate` assumes.
     loop
@@ -395,7 +396,7 @@ def board_bytes(
     require(0 <= fault_from < math.inf, "fault_from", "emulate", "0 or above [s]", fault_from)
     require(isinstance(seed, int) and seed >= 0, "seed", "emulate", "a whole number, 0 or above", seed)
     if not isinstance(source, Robot):
-        fits = rate_hz is None and poses is None and not tolerances
+        fits = rate_hz is None and motion is None and not tolerances
         require(fits, "rate, hold_poses, tolerances", "emulate", "left out for a recording", "one of them")
         names = [f"{x}_{unit}" if unit else x for x, unit in zip(source.names, source.units, strict=True)]
         return _sent(
@@ -404,19 +405,11 @@ def board_bytes(
     rate = (source.rate_hz if rate_hz is None else rate_hz) or 0.0
     expected = f"above zero [Hz], here or in the robot file, and at most {_MOST_HZ:g}"
     require(0 < rate <= _MOST_HZ, "rate", "emulate", expected, rate_hz)
-    require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
     fails, robot = faults_named(faults, source), built(source, tolerances, seed=seed)
     form = _format(source)
     carried = form in ("frames", "csv") or not fails["nan"]
     require(carried, "fault", "emulate", f"one that lines of {form} can carry", "nan")
-    blocks = _blocks(
-        robot,
-        lambda times: course(source, times, seed=seed) if poses is None else held(poses, hold_s, times),
-        rate,
-        fails,
-        fault_from,
-        seed,
-    )
+    blocks = _blocks(robot, motion or partial(course, source, seed=seed), rate, fails, fault_from, seed)
     names = [x for x in _channels(source) if isinstance(x, str)]
     return _sent(_readings(source, form, blocks), form, names, fails, fault_from, seed)
 
@@ -578,33 +571,28 @@ class Emulator:
 
 
 def emulate(
-    source: Path, *, rate_hz: float | None = None, speed: float = 1.0, loop: bool = False, tolerances: float = 0.0,
-    hold_poses: Path | None = None, hold_s: float | None = None,
+    source: Path, link: Path | str | int = 0, *, rate_hz: float | None = None, speed: float = 1.0,
+    loop: bool = False, tolerances: float = 0.0, hold_poses: Path | None = None, hold_s: float | None = None,
     faults: Faults = (), fault_from: float = 0.0, seed: int = 0,
-    port_file: Path | None = None, socket: int | None = None,
 ) -> int:  # fmt: skip
     """Play a robot file (``.toml``) or a recording into a port until somebody stops it; say what it is and where.
 
-    The port is the pseudo-terminal ``port_file``, or the TCP port ``socket`` of this computer, a free one if neither
-    is given. With ``hold_poses`` the robot is held for ``hold_s`` (2 s if not given) in one pose after the other, and
-    these are written to that new table; it stays in the last one. Everything else is as of :func:`board_bytes` and
-    :class:`Emulator`.
+    With ``hold_poses`` the robot is held for ``hold_s`` (2 s if not given) in one pose after the other, and these are
+    written to that new table; it stays in the last one. All else is as of :func:`board_bytes` and :class:`Emulator`.
     """
     require(speed > 0, "speed", "emulate", "above zero", speed)
     require(hold_s is None or hold_poses, "hold", "emulate", "left out without hold_poses", hold_s)
-    require(socket is None or port_file is None, "port_file", "emulate", "left out with socket", port_file)
     robot = load_robot(source) if Path(source).suffix == ".toml" else None
     require(robot or not hold_poses, "hold_poses", "emulate", "left out for a recording", hold_poses)
-    poses, hold_s = None, 2.0 if hold_s is None else hold_s
-    if robot and hold_poses:
-        poses = spread_poses(robot, seed=seed)
-    played = read_recording(source) if robot is None else robot
+    hold_s = 2.0 if hold_s is None else hold_s
+    require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
+    poses = spread_poses(robot, seed=seed) if robot and hold_poses else None
     sent = board_bytes(
-        played, rate_hz=rate_hz, poses=poses, hold_s=hold_s, tolerances=tolerances, loop=loop, faults=faults,
-        fault_from=fault_from, seed=seed,
+        robot or read_recording(source), rate_hz=rate_hz, tolerances=tolerances, loop=loop, faults=faults,
+        motion=None if poses is None else partial(held, poses, hold_s), fault_from=fault_from, seed=seed,
     )  # fmt: skip
     first = next(sent)  # what cannot be sent is refused before there is a port
-    board = Emulator(chain([first], sent), port_file or socket or 0, speed=speed)
+    board = Emulator(chain([first], sent), link, speed=speed)
     with contextlib.suppress(KeyboardInterrupt), board:
         if robot and hold_poses and poses is not None:
             write_poses(hold_poses, robot, poses, hold_s)

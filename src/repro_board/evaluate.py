@@ -102,7 +102,7 @@ def estimator_of(
 
 def with_calibration(shape: Trajectory, calibration: Calibration | None) -> Trajectory:
     """Return estimates whose covariances hold what the calibration left open, too."""
-    if calibration is None or shape.covariance is None:
+    if calibration is None:
         return shape
     parts = np.array_split(shape.q, 1 + len(shape.q) // 2000)  # of bounded memory
     lasting = np.concatenate([calibration.lasting_covariance(part) for part in parts])
@@ -135,13 +135,9 @@ def track_file(
     run_over = smoothed if smooth else track
     shape = with_calibration(run_over(method, u), known)
     lines, frame = [*u.remarks, repr(shape)], shape.to_frame()
-    if tip := tip_known(shape, frame):
-        built = f", if the robot is built exactly as {Path(robot).name} says (not calibrated)"
-        lines.append(tip if known else tip + built)
-    if path is None:
-        lines.append(NOT_WRITTEN)
-    else:
-        lines.append(written(path, csv(frame), owner))
+    drawn = f", if the robot is built exactly as {Path(robot).name} says (not calibrated)"
+    lines.append(tip_known(frame) + drawn * (known is None))
+    lines.append(NOT_WRITTEN if path is None else written(path, csv(frame), owner))
     return Report("\n".join([*lines, *suspicions(shape), *mirrors_in_words(arm)]), shape)
 
 
@@ -201,7 +197,7 @@ def calibrate_files(
     name, measured = Path(poses).name, read_poses(arm, poses, covariance=sigma)
     remarks, where = [*u.remarks, *measured.remarks], [f"{name}, line {line}" for line in measured.lines]
     values = _in_poses(arm, readings, u, measured, where, remarks)
-    n = sum(sensor.axes for sensor in arm.sensors)
+    n = arm.n_magnetic
     both, labels = np.concatenate([values[:, :n], measured.q], axis=1), [*arm.names[:n], *arm.coordinates]
     use = complete(both, "poses and readings", name, labels, 1)
     if lost := [place for place, there in zip(where, use, strict=True) if not there]:

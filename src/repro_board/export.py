@@ -127,8 +127,7 @@ def table_of(recording: Recording, robot: Robot | None = None) -> tuple[pd.DataF
     require(len(recording.samples), "recording", recording.path.name, "one with samples", "none")
     if robot is not None:
         readings = readings_of(robot, recording)
-        magnetic = sum(sensor.axes for sensor in robot.sensors)
-        names = [f"{name}_{'mT' if k < magnetic else 'rad'}" for k, name in enumerate(robot.names)]
+        names = [f"{name}_{'mT' if k < robot.n_magnetic else 'rad'}" for k, name in enumerate(robot.names)]
         times = np.asarray(readings.times)
         columns = _clocks(recording, times) | _notes(recording, times)
         return pd.DataFrame(columns | dict(zip(names, readings.T, strict=True))), list(readings.remarks)

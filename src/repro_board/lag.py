@@ -217,7 +217,7 @@ def fine_lag(sensing: Sensing, motion: Signal, t: Array, u: Array, near: float) 
 
 def held_lag(robot: Robot, q: Array, windows: Array, t: Array, u: Array, remarks: list[str]) -> float:
     """Return by how much held poses are later by the clock of the readings [s]; zero where that goes as well."""
-    n, whole = sum(sensor.axes for sensor in robot.sensors), np.isfinite(np.hstack([q, windows])).all(axis=1)
+    n, whole = robot.n_magnetic, np.isfinite(np.hstack([q, windows])).all(axis=1)
     if whole.sum() < _FEWEST or not n or len(t) < 2:
         return 0.0
     drawn, windows = robot.sensing()(q[whole])[:, :n], windows[whole]
@@ -260,7 +260,7 @@ def in_axes_of_the_readings(
 
     Bodies do not tell how the base is turned about a straight robot: we predict the readings for every turn.
     """
-    n, ways = sum(sensor.axes for sensor in robot.sensors), {0: q, **turned}
+    n, ways = robot.n_magnetic, {0: q, **turned}
     use = np.flatnonzero(np.isfinite(np.concatenate([q, u[:, :n]], axis=1)).all(1))
     use = use[:: 1 + len(use) // _MOST_ROWS]
     left = {k: unexplained(u[use, :n], robot.sensing()(x[use])[:, :n]) for k, x in ways.items() if n}

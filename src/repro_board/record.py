@@ -198,10 +198,10 @@ class Recording(NamedTuple):
     notes: Sequence[Note] = ()
 
 
-def read_recording(path: str | Path, *, format: str | None = None, channels: int | None = None) -> Recording:
+def read_recording(path: str | Path, *, as_stated: bool = True) -> Recording:
     """Read a recording, finished or not, whole or damaged; its remarks tell what is missing.
 
-    What is not given is as the recording says. Where that gives nothing, or with an empty format, the bytes tell.
+    Format and number of values are ``as_stated`` when it was recorded; where nothing can be read so, the bytes tell.
 
     Raises
     ------
@@ -212,16 +212,14 @@ def read_recording(path: str | Path, *, format: str | None = None, channels: int
     require(path.is_file(), "recording", "read_recording", "a file that exists", path)
     blocks = _in_order(_undamaged(path, remarks), path.name, remarks)
     about = _json(blocks[0].content) if 0 in blocks else {}
-    given = (format, channels) != (None, None)
-    if not given:
-        said, n = about.get("format"), about.get("channels")
-        format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
-    parser, began = Parser(format or None, channels), next(iter(blocks.values())).unix_ns / 1e9
+    said, n = (about.get("format"), about.get("channels")) if as_stated else (None, None)
+    format, channels = said if said in FORMATS else None, n if isinstance(n, int) and n > 0 else None
+    parser, began = Parser(format, channels), next(iter(blocks.values())).unix_ns / 1e9
     noted = _noted(blocks, remarks)
     samples, arrived = _parsed(blocks, parser)
-    if (format or channels) and not (samples or given):
+    if (format or channels) and not samples:
         stated = " ".join([*([format] if format else []), *([f"of {channels} values"] if channels else [])])
-        found = read_recording(path, format="")
+        found = read_recording(path, as_stated=False)
         if found.samples:
             other = f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
             return found._replace(remarks=(*found.remarks, other))
@@ -314,7 +312,7 @@ def _parsed(blocks: dict[int, _Block], parser: Parser) -> tuple[list[Sample], Ar
             samples += parser.feed(block.content)
             size += len(block.content)
         previous = number
-    samples += parser.close()
+    parser.close()
     began = np.searchsorted(offsets, [sample.start for sample in samples], side="right") - 1
     return samples, np.array(stamps, dtype=np.int64)[began] / 1e9
 

@@ -65,12 +65,9 @@ def some(words: Sequence[object]) -> str:
 
 def suspicions(shape: Trajectory) -> list[str]:
     """Say in sentences which sensors do not fit the others, and what else the monitor found."""
-    if shape.status is None or shape.suspects is None:
-        return ["Nothing watches this estimator: a sensor that fails is not noticed."]
-    n, counts = len(shape.times), Counter(shape.status.tolist())
+    n, counts = len(shape.times), Counter(np.asarray(shape.status).tolist())
     lines = [f"In {counts[name]} of {n} rows {text}." for name, text in MEANING.items() if counts[name]]
-    names = shape.robot.part_names if shape.robot is not None else range(1, 1 + shape.suspects.shape[1])
-    for name, rows in zip(names, shape.suspects.T, strict=True):
+    for name, rows in zip(shape.robot.part_names, np.asarray(shape.suspects).T, strict=True):
         if rows.any():
             first, last = shape.times[rows][[0, -1]]
             when = f"{rows.sum()} of {n} rows, from {first:.3f} to {last:.3f} s"
@@ -82,10 +79,8 @@ def suspicions(shape: Trajectory) -> list[str]:
     return lines or ["All rows are consistent, and no sensor is suspected."]
 
 
-def tip_known(shape: Trajectory, frame: pd.DataFrame) -> str:
-    """Say how well the tip is known; nothing where no covariance is stated."""
-    if shape.covariance is None:
-        return ""
+def tip_known(frame: pd.DataFrame) -> str:
+    """Say how well the tip is known."""
     tip = np.sqrt(np.square(frame[[f"tip_{axis}_sd_mm" for axis in "xyz"]].to_numpy()).sum(1))
     middle, worst = float(np.median(tip)), float(tip.max())
     known_to = f"known to ±{middle:.2g} mm in most rows" if middle < 1e3 else "not known in most rows"
@@ -94,10 +89,8 @@ def tip_known(shape: Trajectory, frame: pd.DataFrame) -> str:
 
 def calibration_report(found: Calibration, q: Array, u: Array) -> str:
     """Say what poses have determined, and what they leave of the readings."""
-    n = sum(sensor.axes for sensor in found.robot.sensors)
-    before, after = (
-        np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in (found.described, found.robot)
-    )
+    n, models = found.robot.n_magnetic, (found.described, found.robot)
+    before, after = (np.sqrt(np.square(u - x.sensing()(q))[:, :n].mean()) for x in models)
     kept = [
         in_words(found.robot, name)
         for name, now, prior in zip(found.names, found.deviation, found.tolerances, strict=True)
@@ -123,17 +116,16 @@ def errors_table(measured: Trajectory, sigma: Array, shapes: Mapping[str, Trajec
         e = robot.free_angles.difference(shape.q[use], measured.q[use])
         tip, G = robot.tip_slopes(shape.q[use])
         away = tip - robot.tip_slopes(measured.q[use])[0]
-        C = None if shape.covariance is None else (shape.covariance[use] + sigma)
+        C = None if shape.covariance is None else shape.covariance[use] + sigma
         parts = [("tip", "mm", 1e3 * away, 1e3 * G)]
         for c in np.flatnonzero(~robot.fixed):
             quantity, unit, factor = units[c]
             parts.append((quantity, unit, factor * e[:, [c]], factor * np.eye(robot.n_q)[[c]]))
         for quantity, unit, error, slopes in parts:
             dof = min(error.shape[1], (~robot.fixed).sum())
-            found = _sizes(error) | _coverage(
-                error, None if C is None else slopes @ C @ np.swapaxes(slopes, -1, -2), dof
-            )
-            rows.append({"estimate": name, "quantity": quantity, "unit": unit, **found, "rows": len(error)})
+            about = {"estimate": name, "quantity": quantity, "unit": unit}
+            covered = _coverage(error, None if C is None else slopes @ C @ slopes.mT, dof)
+            rows.append(about | _sizes(error) | covered | {"rows": len(error)})
     return pd.DataFrame(rows)
 
 

@@ -210,10 +210,7 @@ class Follower:
 
     def warm(self) -> None:
         """Compile and load what an estimate or an alarm needs, so that no reading waits for it."""
-        q, robot = self.robot.start, self.robot
-        if q is None and robot.lower is not None and robot.upper is not None:
-            q = (robot.lower + robot.upper) / 2
-        u = np.asarray(robot.sensing()(np.zeros(robot.n_q) if q is None else q)).ravel()
+        u = np.asarray(self.robot.sensing()(self.robot.usual_shape)).ravel()
         for k in range(30):
             self.step(
                 u + 1e-6 * k * np.arange(len(u)) + 100.0 * (k >= 10) * (np.arange(len(u)) == 0), 0.01 * k
@@ -244,10 +241,6 @@ class Follower:
             away = self.robot.free_angles.difference(self._shapes, found.q) / width
             total = total + self._open[np.square(away).sum(axis=1).argmin()]
         return found._replace(covariance=self.grown**2 * total)
-
-    def suspects(self, found: Estimate | None) -> list[int]:
-        """Return the parts that the monitor names."""
-        return list(suspects(found))
 
 
 class PortState(NamedTuple):

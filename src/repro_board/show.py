@@ -162,7 +162,7 @@ def _shape(seen: Seen, times: Array, rows: Array, named: list[str]) -> View:
 
 def _charts(seen: Seen, times: Array) -> list[Json]:
     """Return the lines over time: readings, and the tip."""
-    names, n = seen.robot.names, sum(sensor.axes for sensor in seen.robot.sensors)
+    names, n = seen.robot.names, seen.robot.n_magnetic
     tip = seen.frame[[f"tip_{axis}_mm" for axis in "xyz"]].to_numpy(float)
     charts = []
     for title, labels, at, values in (

@@ -71,8 +71,6 @@ class Steps:
     ----------
     robot
         Whose readings they are. The number of an IMU's stream is in its ``channels``; 1, 2 and so on if not given.
-    times
-        ``board``: by its clock, where it sends one; or ``arrival``.
     source
         What the samples come from, whose ``names`` and ``units`` say what the values are: a parser, or labels.
         Without it they are the channels 1, 2, 3 and so on, in the unit of the robot.
@@ -94,12 +92,11 @@ class Steps:
     [0, 1, 0, 1]
     """
 
-    def __init__(self, robot: Robot, times: str = "board", source: Parser | Labels = NO_LABELS) -> None:
-        require(times in ("board", "arrival"), "times", "Steps", "board or arrival", repr(times))
+    def __init__(self, robot: Robot, source: Parser | Labels = NO_LABELS) -> None:
         self.counters = {"steps": 0, "other_streams": 0, "other_widths": 0, "clock_jumps": 0}
         self.remarks: list[str] = []
         self._losses = np.zeros((4, robot.n_readings), dtype=int)
-        self._robot, self._by_board, self._source = robot, times == "board", source
+        self._robot, self._source = robot, source
         channels = [k if imu.channels is None else imu.channels for k, imu in enumerate(robot.imus, 1)]
         own = {int(x): 4 for x in channels if isinstance(x, int | float)}
         self._magnetic = bool(robot.sensors) or len(own) < len(channels)
@@ -227,7 +224,7 @@ class Steps:
         columns = names if len(said) == n or by_number else [f"column {k + 1}" for k in range(n)]
         lines, units = range(1, len(rows) + 1), (*units, *[""] * len(imus))
         table = Table("the board", (*columns, *imus), (*names, *imus), units, rows, lines, None)
-        in_order = n == sum(x.axes for x in self._robot.sensors) and not any(map(_NUMBERED.fullmatch, said))
+        in_order = n == self._robot.n_magnetic and not any(map(_NUMBERED.fullmatch, said))
         table, words = taken_in_order(self._robot, table, n) if in_order else (table, [])
         self.remarks[:0] = words
         return table
@@ -265,7 +262,7 @@ class Steps:
     def _passed(self, time_us: float | None) -> float:
         """Return the time that has passed by the clock of the board; infinite where there is none."""
         last_us = self._tick[1]
-        if not self._by_board or time_us is None or last_us is None:
+        if time_us is None or last_us is None:
             return math.inf
         return 1e-6 * ((time_us - last_us + WRAP // 2) % WRAP - WRAP // 2)
 

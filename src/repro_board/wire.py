@@ -604,10 +604,9 @@ class Parser:
         for reader in self._readers:
             reader.drop_rest()
 
-    def close(self) -> list[Sample]:
-        """End. A last line without its end may be cut off: it is no sample, so that none is returned."""
+    def close(self) -> None:
+        """End. A last line without its end may be cut off: it is no sample."""
         reader = self._readers[-1]
         if isinstance(reader, _Lines) and (last := _plain(reader.rest)):
             self.remarks.append(f"The last line has no end and was left out: {last[:80]!r}.")
         reader.drop_rest()
-        return []

@@ -59,8 +59,7 @@ def build(root: Path, jobs: int) -> str:
     inputs = tool.inputs_of(root)
     points = [page_point(root, path, inputs) for path in notebooks.values()]
     due = [point for point in points if not point.finished]
-    if failures := run_pages(due, jobs):
-        raise RunFailed("\n".join(failures))
+    run_pages(due, jobs)
     keep_told_apart(executed, results, notebooks)
     done, key = root / ".cache" / "book" / "site", site_key(root)
     done.parent.mkdir(parents=True, exist_ok=True)
@@ -79,8 +78,7 @@ def build_page(root: Path, name: str) -> str:
     notebook = root / "notebooks" / f"{name}.ipynb"
     tool.require(notebook.is_file(), "P", "make page", "the name of a notebook, such as table_1", name)
     point = page_point(root, notebook, tool.inputs_of(root))
-    if failures := run_pages([] if point.finished else [point], 1):
-        raise RunFailed("\n".join(failures))
+    run_pages([] if point.finished else [point], 1)
     contents = root / ".cache" / "book" / "page.yml"
     contents.parent.mkdir(parents=True, exist_ok=True)
     contents.write_text(
@@ -111,8 +109,8 @@ def page_point(root: Path, notebook: Path, inputs: str) -> Point:
     )
 
 
-def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
-    """Run pages, several at once; return why some failed. One that shows a warning fails, and runs again."""
+def run_pages(points: Sequence[Point], jobs: int) -> None:
+    """Run pages, several at once; say why some failed. One that shows a warning fails, and runs again."""
     if points:
         # In a process of its own: who only asks whether the book is up to date need not wait for its imports.
         subprocess.run([sys.executable, "-m", "repro_companion.kernels"], check=False)
@@ -128,7 +126,9 @@ def run_pages(points: Sequence[Point], jobs: int) -> list[str]:
         return said
 
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        return [said for said in pool.map(one, points) if said]
+        failures = [said for said in pool.map(one, points) if said]
+    if failures:
+        raise RunFailed("\n".join(failures))
 
 
 def warnings_of(executed: Path) -> str:

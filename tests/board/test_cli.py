@@ -40,7 +40,7 @@ def folder(tmp_path_factory) -> Path:
     robot = repro.load_robot(folder / "robot.toml")
     poses = emulate.spread_poses(robot, seed=SEED)
     emulate.write_poses(folder / "poses.csv", robot, poses, hold_s=1.0)
-    held = {"poses": poses, "hold_s": 1.0}
+    held = {"motion": lambda times: emulate.held(poses, 1.0, times)}
     for name, seconds, options in (("motion.rec", 30.0, {}), ("held.rec", 1.5 * len(poses), held)):
         with closing(Writer(folder / name, {"port": "emulated"})) as writer:
             for time_s, data in emulate.board_bytes(robot, tolerances=1, seed=SEED, **options):

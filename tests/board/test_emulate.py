@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from contextlib import closing
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from repro_board.emulate import (
     board_bytes,
     built,
     course,
+    emulate,
     faulty,
     held,
     spread_poses,
@@ -405,7 +407,7 @@ def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
     times = np.arange(0.0, 25.0, 0.001)
     speed = np.abs(np.diff(held(poses, 0.4, times), axis=0)).max(axis=0) * 1000
     assert (speed < 1.9 * (EXACT.upper - EXACT.lower) / MOVE_S).all()
-    u = magnetic(EXACT, 3.0, poses=poses, hold_s=0.4)
+    u = magnetic(EXACT, 3.0, motion=partial(held, poses, 0.4))
     assert (u[:80] == u[0]).all()
     assert (u[180:250] == u[180]).all()
     assert (u[0] != u[180])[1:].any()
@@ -534,7 +536,7 @@ def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():
 def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
     code = (
         "from repro_board.emulate import emulate; import sys\n"
-        "sys.exit(emulate(sys.argv[1], port_file='board', hold_poses='held.csv', hold_s=1.0))"
+        "sys.exit(emulate(sys.argv[1], 'board', hold_poses='held.csv', hold_s=1.0))"
     )
     command = [sys.executable, "-c", code, str(DATA / "two_segments.toml")]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
@@ -598,12 +600,16 @@ def test_a_recording_is_played_again_and_in_a_loop(tmp_path):
         ({"rate_hz": -1.0}, "Input rate of emulate must be above zero"),
         ({"rate_hz": 1e12}, "Input rate of emulate must be above zero .* and at most 100000"),
         ({"tolerances": -1.0}, "Input tolerances of emulate must be 0 to 100"),
-        ({"poses": np.zeros((2, 6)), "hold_s": 0.0}, "Input hold of emulate must be above zero"),
     ],
 )
 def test_a_board_that_cannot_be_is_refused_at_once(options, message):
     with pytest.raises(InputError, match=message):
         board_bytes(EXACT, **options)
+
+
+def test_a_pose_is_held_for_some_time(tmp_path):
+    with pytest.raises(InputError, match="Input hold of emulate must be above zero"):
+        emulate(example() / "robot.toml", hold_poses=tmp_path / "held.csv", hold_s=0.0)
 
 
 def test_lines_of_one_stream_carry_no_imu_of_its_own():

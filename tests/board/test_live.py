@@ -42,6 +42,7 @@ from repro_board.session import (
     open_port,
     sentences,
     summary,
+    suspects,
 )
 from repro_board.view import FILES, MOST_PAGES, PageServer, message
 from repro_board.wire import encode, raw
@@ -229,7 +230,7 @@ def test_an_alarm_is_named_and_a_long_one_costs_little(name):
             looks.clear()
         if k >= 400:
             assert found.details["status"] == LEFT_OUT
-            assert follower.suspects(found) == [2]
+            assert suspects(found) == (2,)
             assert found.missing == 1
             assert off_mm(found, Q[k]) < 12
     assert len(looks) <= BURST + 2 + 1.0 / LOOK_S

@@ -40,7 +40,6 @@ from repro_board.steps import JUMPED, STANDS_STILL, Steps
 from repro_board.wire import encode
 from tests.board.waiting import LONGEST_S, until
 
-SECOND = 10**9
 START = 17 * 10**17
 
 

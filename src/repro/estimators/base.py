@@ -140,11 +140,10 @@ class NearMagnets:
             return None
         if robot.model is not None or not robot.magnets:
             return None
-        sensing, middle = sensing_of(robot), (robot.lower + robot.upper) / 2
+        sensing = sensing_of(robot)
         if not sensing.too_near(evenly(robot.lower, robot.upper, _SHAPES)).any():
             return None
-        given = q0 if q0 is not None else robot.start if robot.start is not None else middle
-        return cls(sensing, np.asarray(given, dtype=float))
+        return cls(sensing, np.asarray(robot.usual_shape if q0 is None else q0, dtype=float))
 
     def readings(self) -> Array:
         """Return which readings to leave out ``[..., s]``."""

@@ -155,9 +155,9 @@ class Calibration(Generic[Described]):
         of_noise, lasting = self._covariances(q, noise)
         return of_noise + lasting
 
-    def lasting_covariance(self, q: ArrayLike, noise: ArrayLike | None = None) -> Array:
+    def lasting_covariance(self, q: ArrayLike) -> Array:
         """Return the part of :meth:`q_covariance` that no average over time removes: all but the noise."""
-        return self._covariances(q, noise)[1]
+        return self._covariances(q, None)[1]
 
     def _covariances(self, q: ArrayLike, noise: ArrayLike | None) -> tuple[Array, Array]:
         """Return the covariance of an estimate by noise and bounds, and by parameters and errors of the model."""
@@ -165,7 +165,7 @@ class Calibration(Generic[Described]):
         q = robot.check_q(q, "Calibration")
         std = _noise_of(robot, noise, sensing.n_readings, "Calibration")
         H = np.where(fixed, 0.0, sensing.linearise(q)[1]) / std[:, None]
-        A = np.swapaxes(H, -1, -2) @ H
+        A = H.mT @ H
         if robot.lower is None or robot.upper is None:
             C = np.linalg.pinv(A, hermitian=True)
         else:
@@ -175,10 +175,10 @@ class Calibration(Generic[Described]):
         parameters, n = dict(zip(self.names, self.estimate.tolist(), strict=True)), sensing.n_magnetic
         K = np.zeros((*H.shape[:-1], len(self.names)))
         K[..., :n, :] = slopes_of(self.described, sensing, parameters, q) * self.tolerances
-        E = K @ self.covariance @ np.swapaxes(K, -1, -2)
+        E = K @ self.covariance @ K.mT
         E[..., :n, :n] += self.model_error
-        G = C @ np.swapaxes(H, -1, -2) / std
-        return C, G @ E @ np.swapaxes(G, -1, -2)
+        G = C @ H.mT / std
+        return C, G @ E @ G.mT
 
 
 def calibrate(
@@ -403,7 +403,7 @@ class _Poses(NamedTuple):
         moved = sensing_of(placed(self.described, parameters))
         u_hat, J_q = moved.linearise(self.q)
         J = slopes_of(self.described, moved, parameters, self.q) * self.scale
-        root = np.linalg.cholesky(np.diag(self.std**2) + J_q @ self.sigma @ np.swapaxes(J_q, -1, -2))
+        root = np.linalg.cholesky(np.diag(self.std**2) + J_q @ self.sigma @ J_q.mT)
         rows = np.concatenate([(self.u - u_hat)[..., None], J], axis=-1)
         rows = np.linalg.solve(root, rows).reshape(-1, 1 + len(z))
         require(np.isfinite(rows).all(), "numbers", "calibrate", "finite", "infinite ones")
@@ -479,11 +479,11 @@ def _by_pose(drawn: Trial, last: Trial, C: Array, poses: int) -> _Quality:
     """
     first, (r, J, root) = drawn.details[0], last.details
     r, K = r.reshape(poses, -1), J.reshape(poses, -1, len(C))
-    apart = np.eye(r.shape[1]) - K @ C @ np.swapaxes(K, -1, -2)
+    apart = np.eye(r.shape[1]) - K @ C @ K.mT
     predicted = np.linalg.solve(apart, r[..., None])[..., 0]
     squares = first.reshape(r.shape) ** 2, predicted**2, r * predicted
     before, after, own = (np.sqrt(np.abs(x.mean(1))) for x in squares)
-    expected = root @ np.linalg.inv(apart) @ np.swapaxes(root, -1, -2)
+    expected = root @ np.linalg.inv(apart) @ root.mT
     inexact = _model_error((root @ predicted[..., None])[..., 0], expected, own)
     return float(np.median(before)), float(np.median(after)), own, inexact
 
@@ -534,7 +534,7 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     Raises
     ------
     InputError
-        If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
+        If the file is no calibration, was changed, or belongs to another robot.
     """
     given = isinstance(path, str | PathLike)
     require(given, "calibration", "load_calibration", "a path", type(path).__name__)
@@ -552,18 +552,9 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     same = source is not None and content["robot_sha256"] == source.sha256
     expected = f"made with {source.name if source else 'a robot file'} as it is now"
     require(same, "robot_sha256", owner, expected, f"one made with {content['robot']!r}")
-    names, n = content["names"], len(content["names"])
-    estimate, tolerances = (numbers(content[name], name, owner, (n,)) for name in ("estimate", "tolerances"))
-    C = numbers(content["covariance"], "covariance", owner, (n, n))
-    known = (np.abs(estimate) <= _FARTHEST * tolerances).all()
-    require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
-    good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
-    require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
-    s = sum(sensor.axes for sensor in robot.sensors)
-    M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
-    least = -1e-9 * np.abs(M).max(initial=0.0)
-    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= least
-    require(good, "model_error", owner, "a covariance of readings", "another matrix")
+    names, none = content["names"], np.zeros([robot.n_magnetic] * 2)
+    estimate, tolerances, C = (np.array(content[name]) for name in ("estimate", "tolerances", "covariance"))
+    M = np.array(content.get("model_error", none))  # new in 1.1
     rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
     moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
     deviation = np.sqrt(np.diag(C)) * tolerances

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,6 +127,21 @@ def _size(vectors: Array, axis: int | None) -> Array:
     return np.sqrt(np.ma.filled(np.ma.masked_invalid(np.square(vectors).sum(-1)).mean(axis), np.nan))
 
 
+class _Fits(NamedTuple):
+    """Configurations of shapes at their best, and readings there, with what they leave and use of those measured."""
+
+    q: Array
+    u_hat: Array
+    covariance: Array
+    chi2: Array
+    used: Array
+
+    @property
+    def variance(self) -> Array:
+        """Of every coordinate ``[t, n_q]``."""
+        return np.diagonal(self.covariance, axis1=1, axis2=2)
+
+
 class _Bodies:
     """Poses of places as a sensor model: all positions, then all rotation vectors, in the base frame."""
 
@@ -167,7 +182,6 @@ def fit_shape(
     *,
     times: ArrayLike | None = None,
     noise: tuple[float, float] = (0.5e-3, 0.01),
-    start: ArrayLike | None = None,
     rig: Rig | None = None,
     fit_rig: bool = False,
     leave_out: bool = True,
@@ -182,7 +196,8 @@ def fit_shape(
         Measured bodies, one row per shape: poses ``[t, n, 4, 4]``, positions and quaternions XYZW ``[t, n, 7]``, or
         markers ``[t, n, 3]`` [m]; NaN for what is missing, a whole body, its rotation or its position alone. Without
         the dimension of time it is one shape. A data frame or the path of a table is read by the names of its
-        columns. What rotations do not tell, such as an elongation, stays at the start with an infinite variance.
+        columns. Every shape is searched from the start of the robot, else from the straight one. What rotations do
+        not tell, such as an elongation, stays there with an infinite variance.
     at
         Where each body is: something that is mounted (it has a ``place``), or ``(segment, at)`` [m], or
         ``(segment, at, position)`` for a marker beside the backbone, with its place in the cross-section [m]. The
@@ -192,8 +207,6 @@ def fit_shape(
         Time of each row [s].
     noise
         Standard deviations of a measured position along each axis [m] and of a rotation about each axis [rad].
-    start
-        Configuration from which every shape is searched; that of the robot, else straight, if not given.
     rig
         Frames of base and bodies, such as an earlier fit found; all the identity if not given.
     fit_rig
@@ -229,20 +242,18 @@ def fit_shape(
     owner = "fit_shape"
     T, places, times = _measured(robot, poses, at, times, owner)
     require((numbers(noise, "noise", owner, (2,)) > 0).all(), "noise", owner, "positive", noise)
-    search = _Search(robot, places, noise, start, owner)
+    search = _Search(robot, places, noise)
     rig = _rig_of(search, T, rig, fit_rig, owner)
     u, places = search.mounted(T, rig)
     _check_near(robot, u[:, : 3 * len(places)], owner)
 
     found = search.best(u, places)
     left_out, status = search.judged(found, u, places, leave_out)
-    q, u_hat, C, chi2, used = found
     unknown, dof = search.unseen(u), search.freedom(found, u)
-    unsure = unknown | (np.diagonal(C, axis1=1, axis2=2) > _FAR)
-    C = _open(C * _typical(chi2, dof), unsure)
-    r = _Bodies(robot, places).difference(u, u_hat).reshape(len(T), 2, len(places), 3)
+    C = _open(found.covariance * _typical(found.chi2, dof), unknown | (found.variance > _FAR))
+    r = _Bodies(robot, places).difference(u, found.u_hat).reshape(len(T), 2, len(places), 3)
     return FittedShapes(
-        times, np.where(unknown, np.nan, q), C, u_hat, chi2, dof, u.shape[1] - used,
+        times, np.where(unknown, np.nan, found.q), C, found.u_hat, found.chi2, dof, u.shape[1] - found.used,
         {"left_out": left_out}, status,
         residuals=np.concatenate([r[:, 0], r[:, 1]], axis=-1), rig=rig,
         robot=robot if isinstance(robot, Assembly) else None,
@@ -343,7 +354,7 @@ def measured_poses(poses: object, owner: str) -> Array:
     T[~np.isfinite(T[..., :3, :3]).all((-2, -1)), :3, :3] = np.nan
     T[~np.isfinite(T[..., :3, 3]).all(-1), :3, 3] = np.nan
     R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], np.eye(3))
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-2, -1))
+    off = np.abs(R @ R.mT - np.eye(3)).max((-2, -1))
     for k, body in np.argwhere((off > 1e-2) | (np.linalg.det(R) < 0)):
         words = f"a matrix that is none in row {k + 1}, body {body + 1}"
         raise bad_input("poses", owner, "rotations and positions [m]", words)
@@ -378,18 +389,11 @@ def places_of(robot: Chain, at: Sequence[object] | None, n: int, owner: str) -> 
 class _Search:
     """Finds the best configuration of every shape, and the rig that suits all of them."""
 
-    def __init__(
-        self,
-        robot: Chain,
-        places: list[Place],
-        noise: tuple[float, float],
-        start: ArrayLike | None,
-        owner: str,
-    ) -> None:
+    def __init__(self, robot: Chain, places: list[Place], noise: tuple[float, float]) -> None:
         self.robot, self.places, self.noise = robot, places, noise
         self.known = np.where(robot.fixed, np.nan if robot.lower is None else robot.lower, np.nan)
         self.free = np.isnan(self.known)
-        q0 = robot.start if start is None else robot.check_q(start, owner)
+        q0 = robot.start
         if q0 is None:  # not quite straight: there the slopes by an azimuth are zero
             q0 = np.where([name.startswith("kappa") for name in robot.coordinates], 0.1, 0.0)
         self.q0 = np.where(self.free, q0, self.known)
@@ -415,8 +419,8 @@ class _Search:
         seen = np.isfinite(u[:, :n:3]) | np.isfinite(u[:, n::3])
         return self.segment > np.where(seen, last, 0).max(1)[:, None]
 
-    def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> tuple[Array, ...]:
-        """Return configurations, readings there, covariance, chi-square and number of readings used."""
+    def fit(self, q: Array, u: Array, places: list[Place], tolerance: float) -> _Fits:
+        """Return the fits next to configurations ``[t, n_q]``."""
         last = max(where.segment for where in places)
         robot = Chain(self.robot.segments[:last])
         n, far = robot.n_q, np.full(robot.n_q, _FAR)
@@ -426,44 +430,43 @@ class _Search:
         found, u_hat, C, _, status, counts = method.fit(q[:, :n], u, known)
         found = method.angles.wrapped(found)
         C = np.pad(C, ((0, 0), (0, q.shape[1] - n), (0, q.shape[1] - n)))
-        return np.concatenate([found, q[:, n:]], axis=1), u_hat, C, status[:, CHI2], counts[:, USED]
+        found = np.concatenate([found, q[:, n:]], axis=1)
+        return _Fits(found, u_hat, C, status[:, CHI2], counts[:, USED])
 
-    def best(self, u: Array, places: list[Place]) -> tuple[Array, ...]:
-        """Return the same, searched: from the base to the tip one segment more at a time, then all together."""
+    def best(self, u: Array, places: list[Place]) -> _Fits:
+        """Return the fits that are found from the base to the tip one segment more at a time, then all together."""
         q, both = np.tile(self.q0, (len(u), 1)), u.reshape(len(u), 2, len(places), 3)
         reached = sorted({where.segment for where in places if (self.segment <= where.segment).any()})
         for g in reached[:-1]:
             up_to = [k for k, where in enumerate(places) if where.segment <= g]
-            q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0)[0]
+            q = self.fit(q, both[:, :, up_to].reshape(len(u), -1), [places[k] for k in up_to], 1.0).q
         found = self.fit(q, u, places, _TOLERANCE)
         for step in (-1, 1):  # where it fits badly, the shapes before and after are better starts
-            bad = np.flatnonzero(found[3] > 10 * np.median(found[3]) + 1e-6)
+            bad = np.flatnonzero(found.chi2 > 10 * np.median(found.chi2) + 1e-6)
             if len(bad):
-                again = self.fit(found[0][(bad + step) % len(u)], u[bad], places, _TOLERANCE)
-                lower = again[3] < found[3][bad]
+                again = self.fit(found.q[(bad + step) % len(u)], u[bad], places, _TOLERANCE)
+                lower = again.chi2 < found.chi2[bad]
                 for old, new in zip(found, again, strict=True):
                     old[bad[lower]] = new[lower]
         return found
 
-    def freedom(self, found: tuple[Array, ...], u: Array) -> Array:
+    def freedom(self, found: _Fits, u: Array) -> Array:
         """Return degrees of freedom of every shape: readings less the directions that they determine."""
         wide = _FAR**2 / 3  # the variance of what nothing shows
-        known = 1 - np.minimum(np.diagonal(found[2], axis1=1, axis2=2) / wide, 1.0)
-        return np.maximum(found[4] - (known * (self.free & ~self.unseen(u))).sum(1).round().astype(int), 0)
+        known = 1 - np.minimum(found.variance / wide, 1.0)
+        return np.maximum(found.used - (known * (self.free & ~self.unseen(u))).sum(1).round().astype(int), 0)
 
-    def judged(
-        self, found: tuple[Array, ...], u: Array, places: list[Place], leave_out: bool
-    ) -> tuple[Array, Array]:
+    def judged(self, found: _Fits, u: Array, places: list[Place], leave_out: bool) -> tuple[Array, Array]:
         """Return which readings were left out, and the status of every shape.
 
         What is left out becomes NaN in ``u``, and a shape that fits without it takes the place of the one in
         ``found``.
         """
         before, dof = np.isfinite(u), self.freedom(found, u)
-        typical = _typical(found[3], dof)
-        bad = np.flatnonzero(_misfit(found[3] / typical, dof) > 1)
+        typical = _typical(found.chi2, dof)
+        bad = np.flatnonzero(_misfit(found.chi2 / typical, dof) > 1)
         status = np.where(dof > 0, "consistent", "unchecked").astype(object)
-        status[(self.unseen(u) | (np.diagonal(found[2], axis1=1, axis2=2) > _FAR)).any(1)] = "undetermined"
+        status[(self.unseen(u) | (found.variance > _FAR)).any(1)] = "undetermined"
         status[bad] = "inconsistent"
         if not leave_out or not len(bad):
             return before & ~np.isfinite(u), status
@@ -476,7 +479,7 @@ class _Search:
             again = self.best(others, places)
             dof = self.freedom(again, others)
             tried.append((*again, others))
-            fits.append((dof > 0) & (_misfit(again[3] / typical, dof) < 1))
+            fits.append((dof > 0) & (_misfit(again.chi2 / typical, dof) < 1))
         alone = np.sum(fits, axis=0) == 1  # else another body explains the misfit as well
         for fit, now in zip(tried, fits, strict=True):
             for old, new in zip((*found, u), fit, strict=True):
@@ -511,26 +514,24 @@ class _RigTrials:
         """Return what the shapes leave of the poses, each at its best for this rig."""
         rig = _moved(self.rig, z - self.z)
         u, places = self.search.mounted(self.T, rig)
-        start = self.q
-        found = (
-            self.search.best(u, places) if start is None else self.search.fit(start, u, places, _TOLERANCE)
-        )
-        cost = float(np.minimum(found[3], self.limit).sum())
+        search, start = self.search, self.q
+        found = search.best(u, places) if start is None else search.fit(start, u, places, _TOLERANCE)
+        cost = float(np.minimum(found.chi2, self.limit).sum())
         return Trial(cost, lambda: self._taken(z, rig, u, places, found))
 
     def _taken(
-        self, z: Array, rig: Rig, u: Array, places: list[Place], found: tuple[Array, ...]
+        self, z: Array, rig: Rig, u: Array, places: list[Place], found: _Fits
     ) -> tuple[float, Array, Array]:
         """Go on from a better rig, with new weights of the shapes."""
-        search, (q, _, _, chi2, used) = self.search, found
-        self.z, self.rig, self.q = z, rig, q
-        dof = np.maximum(used - search.free.sum(), 1)
+        search, chi2 = self.search, found.chi2
+        self.z, self.rig, self.q = z, rig, found.q
+        dof = np.maximum(found.used - search.free.sum(), 1)
         self.typical = max(1.0, float(np.median(chi2 / dof)))
         self.limit = 10 * self.typical * dof
         shares = np.sqrt(np.minimum(1.0, self.limit / np.maximum(chi2, 1e-300)))[:, None]
         weight = np.repeat(1 / np.array(search.noise), 3 * len(search.places)) * shares
         cost = float(np.minimum(chi2, self.limit).sum())
-        return cost, *_equations(_Bodies(search.robot, places), q, u, weight, search.free)
+        return cost, *_equations(_Bodies(search.robot, places), found.q, u, weight, search.free)
 
 
 def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -> tuple[Array, Array]:
@@ -542,7 +543,7 @@ def _equations(model: _Bodies, q: Array, u: Array, weight: Array, free: Array) -
     weight = np.where(np.isfinite(r), weight, 0.0)[..., None]
     p, K = u_hat[:, : 3 * n].reshape(t, n, 3), np.zeros((t, 2, n, 3, 1 + n, 6))
     K[:, 0, :, :, 0, :3] = K[:, 1, :, :, 0, 3:] = np.eye(3)
-    K[:, 0, :, :, 0, 3:] = np.swapaxes(np.cross(np.eye(3), p[:, :, None]), -1, -2)
+    K[:, 0, :, :, 0, 3:] = np.cross(np.eye(3), p[:, :, None]).mT
     for k in range(n):
         K[:, 0, k, :, 1 + k, :3] = K[:, 1, k, :, 1 + k, 3:] = R[:, k]
     return eliminated(weight * K.reshape(t, 6 * n, -1), weight * J[..., free], np.nan_to_num(r))
@@ -569,7 +570,7 @@ def _first_base(model_T: Array, T: Array, reach: float) -> Array:
     own = np.broadcast_to(model_T, T.shape)
     points, model_points = T[seen][:, :3, 3], own[seen][:, :3, 3]
     axes = np.isfinite(T[..., 0, 0])
-    ours, theirs = (reach * np.swapaxes(X[axes][:, :3, :3], 1, 2).reshape(-1, 3) for X in (own, T))
+    ours, theirs = (reach * X[axes][:, :3, :3].mT.reshape(-1, 3) for X in (own, T))
     ours = np.concatenate([model_points - model_points.mean(0), ours])
     theirs = np.concatenate([points - points.mean(0), theirs])
     base = np.eye(4)

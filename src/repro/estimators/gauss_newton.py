@@ -123,6 +123,6 @@ def eliminated(K: Array, J: Array, r: Array, rcond: float | None = None) -> tupl
     >>> A.round(3), (g / A[0]).round(3)
     (array([[0.5]]), array([0.2]))
     """
-    by_row = np.linalg.pinv(np.swapaxes(J, 1, 2) @ J, rcond, hermitian=True)
-    left = K - J @ (by_row @ (np.swapaxes(J, 1, 2) @ K))  # what the unknowns of the rows cannot take over
+    by_row = np.linalg.pinv(J.mT @ J, rcond, hermitian=True)
+    left = K - J @ (by_row @ (J.mT @ K))  # what the unknowns of the rows cannot take over
     return np.einsum("tsk,tsl->kl", K, left), np.einsum("tsk,ts->k", left, r)

@@ -10,10 +10,9 @@ and time against a continuum robot. The process has a transition in closed form 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legval
@@ -22,14 +21,14 @@ from numpy.typing import ArrayLike
 from repro.angles import FreeAngles
 from repro.chain import arc_functions
 from repro.common import Array, kernel, numbers, require
-from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, model_of, start
+from repro.estimators.base import Estimate, conditioned, incoming, known_coordinates, start
 from repro.estimators.kalman import KalmanState, MotionModel
 from repro.sensing import rotation_vector
 
-_KINDS = {"pose": 6, "orientation": 3, "gyroscope": 3, "model": None}
+_KINDS = {"pose": 6, "orientation": 3, "gyroscope": 3}
 """Kinds of sensors, and how many readings they have."""
-_ORIENTATION, _GYROSCOPE = 1, 2
-"""Their numbers for the kernels: poses come before, models after."""
+_GYROSCOPE = 2
+"""Its number for the kernels: poses and orientations come before."""
 _STILL = 0.01
 """An update ends when no state moves by more than this share of its standard deviation before any reading."""
 
@@ -148,7 +147,6 @@ class RodSensor:
                 then rotation vector [rad]
     orientation rotation vector [rad] that turns its frame to the world      a rotation vector in its frame
     gyroscope   angular velocity in its own frame [rad/s]                    added
-    model       whatever ``sensing`` makes of the terms of the strain        added
     =========== ============================================================ ====================================
 
     The translation part of the logarithm of a pose is not its position: that is the left Jacobian of the rotation
@@ -159,18 +157,14 @@ class RodSensor:
     kind
         One of the table.
     std
-        Standard deviation of the white error, new at every reading: one number, or one for each reading. For a model
-        their number is the number of readings.
+        Standard deviation of the white error, new at every reading: one number, or one for each reading.
     arc_m
-        Distance of the sensor from the base along the rod [m]; without a meaning for a model.
+        Distance of the sensor from the base along the rod [m].
     lasting_std
         Standard deviation of the error that lasts (a mounting or a frame that is off, a bias): one number, or one for
         each reading; empty for none.
     lasting_time_s
         Correlation time of the lasting error [s]; infinite for a constant.
-    sensing
-        For a model: a function of the terms ``[terms]`` [rad/m] that returns its readings, as for
-        :class:`repro.LevenbergMarquardt`.
 
     Raises
     ------
@@ -190,12 +184,9 @@ class RodSensor:
     arc_m: float = 0.0
     lasting_std: ArrayLike = ()
     lasting_time_s: float = math.inf
-    sensing: Callable[[Array], ArrayLike] | None = None
 
     def __post_init__(self) -> None:
         require(self.kind in _KINDS, "kind", "RodSensor", f"one of {', '.join(_KINDS)}", repr(self.kind))
-        fits = callable(self.sensing) if self.kind == "model" else self.sensing is None
-        require(fits, "sensing", "RodSensor", "a function for a model, and for a model only", self.sensing)
         numbers(self.arc_m, "arc_m", "RodSensor", ())
         require(self.lasting_time_s > 0, "lasting_time_s", "RodSensor", "positive [s]", self.lasting_time_s)
         _ = self.white, self.lasting
@@ -203,7 +194,7 @@ class RodSensor:
     @cached_property
     def white(self) -> Array:
         """Standard deviation of the white error of every reading."""
-        return _positive(self.std, "std", "RodSensor", _KINDS[self.kind] or max(np.size(self.std), 1))
+        return _positive(self.std, "std", "RodSensor", _KINDS[self.kind])
 
     @cached_property
     def lasting(self) -> Array:
@@ -305,7 +296,6 @@ class RodFilter(MotionModel):
         self._lasting_std, self._lasting_rate = np.concatenate(lasting), np.concatenate(rates)
         self._scale = np.concatenate([self._std, self._lasting_std, self._std * self._rate])
         self._rows = np.cumsum([0, *(len(sensor.white) for sensor in self.sensors)])
-        self._sensing = [self._model_of(sensor) for sensor in self.sensors]
         # For the kernels. The sums say where the readings of a sensor begin, and its errors among the states.
         self._layout = (
             rod.basis,
@@ -383,12 +373,10 @@ class RodFilter(MotionModel):
             prior, before = x[k].copy(), P[k].copy()
             for _ in range(self.iterations if use[k].any() else 0):
                 last = x[k].copy()
-                x[k], P[k], chi2[k] = _improve(
-                    self._layout, n, last, prior, before, read[k], *self._models(last)
-                )
+                x[k], P[k], chi2[k] = _improve(self._layout, n, last, prior, before, read[k])
                 if (np.abs(x[k] - last) < _STILL * self._scale).all():
                     break
-            u_hat[k] = _compare(self._layout, n, x[k], read[k], *self._models(x[k]))[0]
+            u_hat[k] = _compare(self._layout, n, x[k], read[k])[0]
         q, C, details = x[..., :n].copy(), P[..., :n, :n].copy(), {"lasting": x[..., n:m].copy()}
         estimate = Estimate(q, C, u_hat, chi2[()], use.sum(axis=-1), (~use).sum(axis=-1), details)
         return KalmanState(x[..., :m], x[..., m:], P, state.t), estimate
@@ -419,25 +407,7 @@ class RodFilter(MotionModel):
         P = numbers(covariance, "covariance", "RodFilter", (..., self.n_q, self.n_q))
         T, J = self.rod.motion(q, arcs_m)
         slopes = T[..., :3, :3] @ J[..., :3, :]
-        return T[..., :3, 3], slopes @ P[..., None, :, :] @ np.swapaxes(slopes, -1, -2)
-
-    def _model_of(self, sensor: RodSensor) -> Any:
-        if sensor.sensing is None:
-            return None
-        std = self._std[-self.rod.n_q :]
-        model, n = model_of(sensor.sensing, -std, std, "RodSensor"), len(sensor.white)
-        require(model.n_readings == n, "std", "RodSensor", f"of {model.n_readings} readings", n)
-        return model
-
-    def _models(self, x: Array) -> tuple[Array, Array]:
-        """Return the readings of models, in their places among all readings, and their slopes by the strain."""
-        terms = self.rod.n_q
-        value, slopes = np.zeros(self._rows[-1]), np.zeros((self._rows[-1], terms))
-        q = x[None, self.n_q - terms : self.n_q]
-        for model, first, stop in zip(self._sensing, self._rows, self._rows[1:], strict=False):
-            if model is not None:
-                (value[first:stop],), (slopes[first:stop],) = model.linearise(q)
-        return value, slopes
+        return T[..., :3, 3], slopes @ P[..., None, :, :] @ slopes.mT
 
 
 @kernel(allocates=True)
@@ -506,7 +476,7 @@ def _along(basis, piece, q, arcs):
 
 
 @kernel(entry=True, allocates=True)
-def _compare(layout, n, x, u, value, slopes):
+def _compare(layout, n, x, u):
     """Return the readings of a state, how ``u`` differs from them, and the slopes of this by the state.
 
     A pose differs by the twist, in the frame of the sensor, from the predicted pose to the pose that was read.
@@ -520,7 +490,7 @@ def _compare(layout, n, x, u, value, slopes):
         for i in range(errors[k], errors[k + 1]):
             error[i - errors[k]] = x[i]
             H[first + i - errors[k], i] = 1.0
-        if kinds[k] <= _ORIENTATION:
+        if kinds[k] < _GYROSCOPE:
             twist, low = np.zeros(6), 6 - len(error)
             twist[low:] = error
             u_hat[first:stop] = _logarithm(T @ _exponential(twist)[0])[low:]
@@ -529,22 +499,16 @@ def _compare(layout, n, x, u, value, slopes):
                 twist = _logarithm(np.linalg.inv(T) @ _exponential(twist)[0])
                 r[first:stop] = twist[low:] - error
                 H[first:stop, :n] = np.linalg.solve(_exponential(twist)[2], J)[low:]
-            continue
-        if kinds[k] == _GYROSCOPE:
-            u_hat[first:stop], H[first:stop, len(x) - n :] = J[3:] @ x[len(x) - n :] + error, J[3:]
         else:
-            u_hat[first:stop], H[first:stop, n - slopes.shape[1] : n] = (
-                value[first:stop] + error,
-                slopes[first:stop],
-            )
-        r[first:stop] = u[first:stop] - u_hat[first:stop]
+            u_hat[first:stop], H[first:stop, len(x) - n :] = J[3:] @ x[len(x) - n :] + error, J[3:]
+            r[first:stop] = u[first:stop] - u_hat[first:stop]
     return u_hat, r, H
 
 
 @kernel(entry=True, allocates=True)
-def _improve(layout, n, x, prior, P, u, value, slopes):
+def _improve(layout, n, x, prior, P, u):
     """Return mean and covariance given readings, linearised at ``x``, and the chi-square of their surprise."""
-    _, r, H = _compare(layout, n, x, u, value, slopes)
+    _, r, H = _compare(layout, n, x, u)
     use = np.flatnonzero(np.isfinite(u))
     r += H @ (x - prior)
     r, H, R = r[use], H[use], np.diag(layout[6][use])
