@@ -73,6 +73,8 @@ def test_a_better_design_never_gets_a_worse_verdict(seed):
         assert all(new >= old for old, new in zip(before.grades, found.grades, strict=True))
         better = median_of(found, as_built) < median_of(before, as_built)
         assert better == bool(found.changes) == (found.robot is not robot)
+        best = {row.chips: row.as_built if as_built else row.calibrated for row in found.by_chips}
+        assert not better or median_of(found, as_built) <= 1.01 * best[len(found.robot.sensors)]
 
 
 def test_it_finds_a_design_that_works_and_says_the_way_there():
@@ -103,11 +105,12 @@ def test_the_one_free_number_goes_to_its_best_place():
     assert found.changes[0].startswith(f"magnet 1 {60 - best:.2g} mm towards the base, to {best:.4g} mm: ±")
 
 
-def test_a_chip_says_by_how_much_it_comes_nearer_to_its_magnet():
-    """At rest the arm is straight and 1.5 mm longer, the magnet on its axis and the chip 10 mm beside it."""
-    found = improve_design(arm(chip_free={"at": (0.0, 0.06)}), **FEW)
+@pytest.mark.parametrize(("start", "length"), [(None, 61.5), ([0.0, 0.0, 0.0], 60.0)])
+def test_a_chip_says_by_how_much_it_comes_nearer_to_its_magnet(start, length):
+    """At rest the arm is straight, by its bounds 1.5 mm longer, and the chip 10 mm beside the axis of the magnet."""
+    found = improve_design(arm(chip_free={"at": (0.0, 0.06)}).replaced(start=start), **FEW)
     at = 1e3 * found.robot.sensors[0].at
-    nearer = math.hypot(61.5, 10.0) - math.hypot(61.5 - 1.025 * at, 10.0)
+    nearer = math.hypot(length, 10.0) - math.hypot(length * (1 - at / 60), 10.0)
     assert found.changes[0].startswith(f"sensor 1 {nearer:.2g} mm nearer to magnet 1, to {at:.4g} mm: ±")
 
 
@@ -159,6 +162,7 @@ def test_more_chips_know_the_tip_better_and_are_added_where_they_are_needed():
     assert [row.chips for row in found.by_chips] == [1, 2, 3, 4]
     errors = [row.calibrated for row in found.by_chips]
     assert sorted(errors, reverse=True) == errors
+    assert max(row.as_built for row in found.by_chips) <= found.before.spread
     assert found.can_work
     more = len(found.robot.sensors) - 1
     assert more > 0
@@ -171,11 +175,12 @@ def test_more_chips_know_the_tip_better_and_are_added_where_they_are_needed():
 
 
 def test_magnets_do_not_touch():
-    robot = arm(chips=2)
+    robot = arm(chips=3)
     two = robot.replaced(magnets=[Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.06)])
     found = improve_design(two, target=1e-6, **FEW)
     a, b = (magnet.at for magnet in found.robot.magnets)
     assert abs(a - b) >= 8e-3
+    assert [row.chips for row in found.by_chips] == [1, 2, 3, 4, 5, 6]
     near = [Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.03)]  # a gap of 2 mm, and they stay
     fixed = arm(chips=2, chip_free={"at": (0.0, 0.06)}).replaced(magnets=near)
     assert improve_design(fixed, target=1e-6, **FEW).changes
