@@ -144,9 +144,11 @@ def improve_design(
     n = len(robot.sensors)
     checks = {k: check_design(found[k], samples=samples, seed=seed) for k in sorted(found) if k >= n}
     chips = next((k for k in checks if not falls_short(checks[k], target, as_built)), n)
-    steps = _steps(
-        start, found[chips], lambda x: median_tip(x, as_built=as_built, samples=samples, seed=seed)
-    )
+
+    def error(x: Assembly) -> float:
+        return math.inf if _touching(x) else median_tip(x, as_built=as_built, samples=samples, seed=seed)
+
+    steps = _steps(start, found[chips], error)
     few = [k for k, step in enumerate(steps, 1) if step.after <= (1 + _NO_HELP) * steps[-1].after]
     taken = steps[: min(few, default=0)]
     check = check_design(taken[-1].robot, samples=samples, seed=seed) if taken else before
@@ -367,14 +369,18 @@ def _steps(old: Assembly, new: Assembly, error: Callable[[Assembly], float]) -> 
             parts[kind] = [part for part in both if part is not None]
         return old.replaced(**parts)
 
-    steps, now = list[_Step](), error(old)
+    steps, said = list[_Step](), _reached(old, error(old))
     while left:
         after, change = min((error(mixed(done | {x})), x) for x in left)
         left, done = left - {change}, done | {change}
-        words = f"{_in_words(old, new, *change)}: {length_in_words(now)} → {length_in_words(after)}"
+        words = f"{_in_words(old, new, *change)}: {said} → {(then := _reached(mixed(done), after))}"
         steps.append(_Step(words, after, mixed(done)))
-        now = after
+        said = then
     return steps
+
+
+def _reached(robot: Assembly, error: float) -> str:
+    return "magnets touch" if _touching(robot) else length_in_words(error)
 
 
 def _in_words(old: Assembly, new: Assembly, kind: str, k: int) -> str:

@@ -53,7 +53,9 @@ HITS = pd.Series({
     for k, name in enumerate(toronto.SAME, 1)
     for setting in ("raw", "calibrated") for who in ("smoother", "released window")
 })  # fmt: skip
-ATTEMPTS = pd.DataFrame([[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell.BULB, "light_-1"])
+ATTEMPTS = pd.DataFrame(
+    [[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell.BULB, "light_-1"]
+)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +80,7 @@ ATTEMPTS = pd.DataFrame([[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["fro
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "(95 % interval over 9 robots: 5 to 20)"),
         (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32),
          "a tip error of 15 mm. After a calibration in 32 poses the error is 0.12 mm."),
-        (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm, and"),
+        (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "it finds these in 1 of 2 settings."),
@@ -87,10 +89,10 @@ ATTEMPTS = pd.DataFrame([[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["fro
         (lambda: martin_files.tables_in_words(pd.DataFrame({
             "source": "recorded", "largest_um": [0.5, 1.0, 1.1], "half_turns": [3, 0, 4]})),
          "2 of 3 tables follow to a micrometre in every point of every row. We left out 4 rows"),
-        (lambda: toronto.floors_in_words(FLOORS), "or 10 to 20 % of its length, although it knows where the tip is. Two"),
+        (lambda: toronto.floors_in_words(FLOORS), "or 10 to 20 % of its length, although it knows where the tip is."),
         (lambda: toronto.compared_in_words(HITS),
-         "errors of 115 and 110 mm on raw readings, and of 15 and 10 mm on calibrated readings. When it is shaken, their "
-         "errors are 125 and 120 mm on raw readings, and 25 and 20 mm on calibrated readings."),
+         "errors of 115 and 110 mm on raw readings, and of 15 and 10 mm on calibrated readings. When it is shaken, "
+         "their errors are 125 and 120 mm on raw readings, and 25 and 20 mm on calibrated readings."),
         (lambda: wandering.of_columns(pd.DataFrame({"method": ["fused"], "nees": [16.0]})),
          "16 means errors about 4 times as large as stated"),
     ],

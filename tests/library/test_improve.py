@@ -73,8 +73,6 @@ def test_a_better_design_never_gets_a_worse_verdict(seed):
         assert all(new >= old for old, new in zip(before.grades, found.grades, strict=True))
         better = median_of(found, as_built) < median_of(before, as_built)
         assert better == bool(found.changes) == (found.robot is not robot)
-        best = {row.chips: row.as_built if as_built else row.calibrated for row in found.by_chips}
-        assert not better or median_of(found, as_built) <= 1.01 * best[len(found.robot.sensors)]
 
 
 def test_it_finds_a_design_that_works_and_says_the_way_there():
@@ -175,12 +173,15 @@ def test_more_chips_know_the_tip_better_and_are_added_where_they_are_needed():
 
 
 def test_magnets_do_not_touch():
+    """Nor do they after the changes that are enough; all that help by more than a hundredth are made."""
     robot = arm(chips=3)
     two = robot.replaced(magnets=[Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.06)])
-    found = improve_design(two, target=1e-6, **FEW)
+    found = improve_design(two, target=1.2e-4, **FEW)
     a, b = (magnet.at for magnet in found.robot.magnets)
     assert abs(a - b) >= 8e-3
     assert [row.chips for row in found.by_chips] == [1, 2, 3, 4, 5, 6]
+    assert median_of(found, False) <= 1.01 * found.by_chips[2].calibrated
+    assert " mm → magnets touch" in found.changes[-2]
     near = [Magnet(Disc(6e-3, 8e-3, 1300.0), 1, at) for at in (0.02, 0.03)]  # a gap of 2 mm, and they stay
     fixed = arm(chips=2, chip_free={"at": (0.0, 0.06)}).replaced(magnets=near)
     assert improve_design(fixed, target=1e-6, **FEW).changes
