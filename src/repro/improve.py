@@ -144,11 +144,7 @@ def improve_design(
     n = len(robot.sensors)
     checks = {k: check_design(found[k], samples=samples, seed=seed) for k in sorted(found) if k >= n}
     chips = next((k for k in checks if not falls_short(checks[k], target, as_built)), n)
-
-    def error(x: Assembly) -> float:
-        return math.inf if _touching(x) else median_tip(x, as_built=as_built, samples=samples, seed=seed)
-
-    steps = _steps(start, found[chips], error)
+    steps = _steps(start, found[chips], lambda x: _tip(x, as_built=as_built, samples=samples, seed=seed))
     few = [k for k, step in enumerate(steps, 1) if step.after <= (1 + _NO_HELP) * steps[-1].after]
     taken = steps[: min(few, default=0)]
     check = check_design(taken[-1].robot, samples=samples, seed=seed) if taken else before
@@ -272,8 +268,7 @@ class _Search:
     def error(self, robot: Assembly) -> float:
         """Return the median deviation of the tip [m]; infinite where magnets touch, or no reading is a number."""
         with suppress(InputError):
-            if not _touching(robot):
-                return median_tip(robot, as_built=self.as_built, samples=_SHAPES, seed=self.seed)
+            return _tip(robot, as_built=self.as_built, samples=_SHAPES, seed=self.seed)
         return math.inf
 
     def moved(
@@ -343,6 +338,11 @@ def _touching(robot: Assembly) -> bool:
     return any(
         a[0] == b[0] and abs(a[1] - b[1]) < (a[2] + b[2]) / 2 for k, a in enumerate(along) for b in along[:k]
     )
+
+
+def _tip(robot: Assembly, **how: Any) -> float:
+    """Return the median deviation of the tip [m]; infinite where magnets touch."""
+    return math.inf if _touching(robot) else median_tip(robot, **how)
 
 
 class _Step(NamedTuple):
