@@ -236,9 +236,8 @@ def test_the_slider_moves_shape_mark_and_words_by_keyboard(opened, page_file, wi
     assert not chart["thinned"]
     read = chart["rows"][chart["time_s"].index(viewer["time_s"][-4])]
     values = page.locator(".values").first.locator("li").all_inner_texts()
-    assert [text.replace("−", "-").split()[-1] for text in values] == [
-        "–" if x is None else str(x) for x in read
-    ]
+    shown = [text.split()[-1].replace("−", "-") for text in values]
+    assert [None if text == "–" else float(text) for text in shown] == read
     inner = page.locator(".shape-view input")
     assert (inner.input_value(), slider.input_value()) == (str(len(viewer["time_s"]) - 4),) * 2
     inner.focus()
