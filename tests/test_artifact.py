@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from repro_companion.artifact_page import MEASURED
+from repro_companion.artifact_page import MEASURED, in_words
 from repro_companion.compare import CRATE, compare_with_head
 from repro_companion.run import RunFailed, digest
 from scripts import artifact
@@ -30,6 +30,20 @@ def test_what_was_measured_names_every_page_and_every_table_once():
     }
     assert sorted([*" ".join(PAGES["tables"]).split(), "scorecard.csv"]) == TABLES
     assert (PAGES[["minutes", "megabytes"]] > 0).all(axis=None)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [
+        (0.0, "last digits"),
+        (1e-4, "last digits"),
+        (2e-4, "0.02 %"),
+        (0.5, "50 %"),
+        (1.0, "any: the step is chaotic"),
+    ],
+)
+def test_how_far_a_number_may_move_is_said_in_percent(tolerance, words):
+    assert in_words(tolerance) == words
 
 
 @pytest.fixture

@@ -144,9 +144,7 @@ def improve_design(
     n = len(robot.sensors)
     checks = {k: check_design(found[k], samples=samples, seed=seed) for k in sorted(found) if k >= n}
     chips = next((k for k in checks if not falls_short(checks[k], target, as_built)), n)
-    steps = _steps(
-        start, found[chips], lambda x: median_tip(x, as_built=as_built, samples=samples, seed=seed)
-    )
+    steps = _steps(start, found[chips], lambda x: _tip(x, as_built=as_built, samples=samples, seed=seed))
     few = [k for k, step in enumerate(steps, 1) if step.after <= (1 + _NO_HELP) * steps[-1].after]
     taken = steps[: min(few, default=0)]
     check = check_design(taken[-1].robot, samples=samples, seed=seed) if taken else before
@@ -270,8 +268,7 @@ class _Search:
     def error(self, robot: Assembly) -> float:
         """Return the median deviation of the tip [m]; infinite where magnets touch, or no reading is a number."""
         with suppress(InputError):
-            if not _touching(robot):
-                return median_tip(robot, as_built=self.as_built, samples=_SHAPES, seed=self.seed)
+            return _tip(robot, as_built=self.as_built, samples=_SHAPES, seed=self.seed)
         return math.inf
 
     def moved(
@@ -343,6 +340,11 @@ def _touching(robot: Assembly) -> bool:
     )
 
 
+def _tip(robot: Assembly, **how: Any) -> float:
+    """Return the median deviation of the tip [m]; infinite where magnets touch."""
+    return math.inf if _touching(robot) else median_tip(robot, **how)
+
+
 class _Step(NamedTuple):
     """A change in words, the deviation after it [m], and the robot then."""
 
@@ -367,14 +369,18 @@ def _steps(old: Assembly, new: Assembly, error: Callable[[Assembly], float]) -> 
             parts[kind] = [part for part in both if part is not None]
         return old.replaced(**parts)
 
-    steps, now = list[_Step](), error(old)
+    steps, said = list[_Step](), _reached(old, error(old))
     while left:
         after, change = min((error(mixed(done | {x})), x) for x in left)
         left, done = left - {change}, done | {change}
-        words = f"{_in_words(old, new, *change)}: {length_in_words(now)} → {length_in_words(after)}"
+        words = f"{_in_words(old, new, *change)}: {said} → {(then := _reached(mixed(done), after))}"
         steps.append(_Step(words, after, mixed(done)))
-        now = after
+        said = then
     return steps
+
+
+def _reached(robot: Assembly, error: float) -> str:
+    return "magnets touch" if _touching(robot) else length_in_words(error)
 
 
 def _in_words(old: Assembly, new: Assembly, kind: str, k: int) -> str:

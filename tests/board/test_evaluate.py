@@ -1,6 +1,7 @@
 """What track, calibrate and evaluate do with files; the lag between readings and a motion."""
 
 import re
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from repro.estimators.track import Trajectory
 from repro.tolerances import placed
 from repro_board import cleaning, report
 from repro_board import lag as module
-from repro_board.calibrations import by_motion
+from repro_board.calibrations import _judge, by_motion
 from repro_board.cli import main
 from repro_board.evaluate import (
     calibrate_by_motion,
@@ -27,7 +28,8 @@ from repro_board.evaluate import (
     track_file,
 )
 from repro_board.lag import Signal, fine_lag, search_lag
-from repro_board.record import Note
+from repro_board.record import Note, Writer
+from repro_board.wire import encode
 
 DATA = Path(__file__).parent / "data"
 RAW = DATA / "robot_raw.toml"
@@ -396,6 +398,17 @@ def test_an_arm_that_hangs_is_evaluated_by_the_command(good, tmp_path, capsys):
     assert tip_error(pd.read_csv(tmp_path / "out" / "errors.csv"), LM) < 0.5
 
 
+def test_a_pose_that_was_left_out_stays_out_where_the_base_is_turned(good):
+    robot, lines = repro.load_robot(good[0]), list[str]()
+    q = shapes(robot, np.arange(40.0))
+    turned = q[:, [1, 0, 2]] * [-1, 1, 1]
+    u, expected = robot.sensing()(turned), turned.copy()
+    q[3] = expected[3] = np.nan
+    found = module.in_axes_of_the_readings(robot, q, {90: turned, 180: -q}, u, lines)
+    np.testing.assert_array_equal(found, expected)
+    assert lines[0].startswith("The base is taken as turned by 90 deg about the straight robot: 0% of the")
+
+
 def test_a_robot_at_rest_is_not_taken_for_a_frozen_capture(good, tmp_path):
     path, _, poses, _ = good
     frame, robot = pd.read_csv(poses), repro.load_robot(path)
@@ -430,11 +443,18 @@ def test_clocks_that_drift_are_told(good, tmp_path):
 
 
 def test_clocks_without_a_time_in_common_are_counted_from_their_first_rows(good, tmp_path):
+    """So are notes: the sensors of the robot begin two seconds after another device."""
     path, readings, poses, report = good
     frame = pd.read_csv(poses)
     frame.assign(time_s=frame["time_s"] + 1000).to_csv(tmp_path / "p.csv", index=False)
-    found = evaluate_files(readings, tmp_path / "p.csv", path, tmp_path / "out")
+    with closing(Writer(tmp_path / "a.rec", {"format": "frames"})) as writer:
+        writer.write(0, encode([1.0], stream=9))
+        for k, row in enumerate(pd.read_csv(readings).to_numpy()):
+            writer.write(round(1e9 * (2 + row[0])), encode(row[1:], 0, k, round(1e6 * (2 + row[0]))))
+        writer.note(12_000_000_000, "load on")
+    found = evaluate_files(tmp_path / "a.rec", tmp_path / "p.csv", path, tmp_path / "out")
     assert "no time in common" in str(found)
+    assert "   1     10.00  load on" in str(found)
     assert tip_error(found.found, LM) == pytest.approx(tip_error(report.found, LM), rel=0.02)
 
 
@@ -801,7 +821,7 @@ def test_held_poses_by_a_clock_that_is_off_calibrate_as_those_that_are_not(tmp_p
         tmp_path / "p.csv", index=False
     )
     found = calibrate_files(readings, tmp_path / "p.csv", path, tmp_path / "b.json")
-    assert float(str(found).split("Lag: ")[1].split(" s")[0]) == pytest.approx(-late, abs=0.2)
+    assert float(str(found).split("Lag: ")[1].split(" s")[0]) == pytest.approx(-late, abs=0.06)
     assert "0% of the readings unexplained" in str(found)
     np.testing.assert_allclose(found.found.estimate, right.found.estimate, atol=0.01)
 
@@ -809,8 +829,6 @@ def test_held_poses_by_a_clock_that_is_off_calibrate_as_those_that_are_not(tmp_p
 def test_held_poses_by_the_clocks_of_the_board_and_of_the_day(tmp_path):
     """The board ran for 700 s when its recording began; the table that is exported of it has all three clocks."""
     from repro_board.export import export
-    from repro_board.record import Writer
-    from repro_board.wire import encode
 
     path = robot_file(tmp_path)
     readings, frame, u = moves_and_holds(tmp_path, repro.load_robot(path))
@@ -907,6 +925,13 @@ def test_motion_of_another_robot_is_refused_and_a_doubtful_one_told(tmp_path, ca
     words = ["calibrate", str(path), str(DATA / "held_poses.csv"), "--self"]
     assert main([*words, "--robot", str(EXAMPLE), "-o", str(tmp_path / "d.json")]) == 2
     assert "poses of repro calibrate must be left out with --self" in capsys.readouterr().err
+
+
+def test_errors_of_five_times_the_tolerance_or_a_chi_square_of_sixteen_are_the_most_that_motion_calibrates():
+    _judge(["a", "b"], np.array([1.0, 5.0]), 16.0)
+    for far, spread, words in ((5.1, 1.0, "b 5.1 times"), (4.9, 16.1, "a chi-square per reading of 16.1")):
+        with pytest.raises(InputError, match=words):
+            _judge(["a", "b"], np.array([1.0, far]), spread)
 
 
 def test_pose_noise_by_the_kind_of_coordinate():

@@ -20,7 +20,8 @@ import pytest
 import repro
 from repro_board import live, session
 from repro_board.cli import main
-from repro_board.record import MOST_LETTERS, read_recording
+from repro_board.keys import Keys
+from repro_board.record import MOST_LETTERS, Writer, read_recording
 from repro_board.session import LET_GO, Follower, open_port
 from repro_board.wire import encode
 from tests.board.test_record import Board, struct_heads
@@ -150,6 +151,20 @@ def test_notes_are_written_with_the_time_of_their_first_key(board, tmp_path, sta
     assert before - 0.1 < recording.unix_s + recording.notes[0].time_s < after + 0.1
     assert recording.remarks == ()
     assert "3 notes" in program.shown
+
+
+def test_what_became_of_a_note_is_said_until_the_next_one_begins(board, tmp_path):
+    with contextlib.closing(Writer(tmp_path / "a.rec", {})) as writer:
+        keys = Keys(open_port(str(board.port)), writer)
+        keys.read = True
+        keys.press("n")
+        assert keys.lines()[0] == "A note needs a recording, and nothing has arrived yet."
+        writer.write(0, b"1")
+        keys.press("nload on\r")
+        assert keys.lines() == ("Noted: load on", HINT)
+        keys.press("nno\x1b")
+        assert keys.lines() == (HINT,)
+        keys.port.close()
 
 
 def its_time_passes() -> None:

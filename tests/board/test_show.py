@@ -232,6 +232,12 @@ def test_the_slider_moves_shape_mark_and_words_by_keyboard(opened, page_file, wi
     for _ in range(3):
         page.keyboard.press("ArrowLeft")
     assert page.inner_text("#clock") == f"{viewer['time_s'][-4]:.2f} s"
+    chart = own["charts"][0]
+    assert not chart["thinned"]
+    read = chart["rows"][chart["time_s"].index(viewer["time_s"][-4])]
+    values = page.locator(".values").first.locator("li").all_inner_texts()
+    shown = [text.split()[-1].replace("−", "-") for text in values]
+    assert [None if text == "–" else float(text) for text in shown] == read
     inner = page.locator(".shape-view input")
     assert (inner.input_value(), slider.input_value()) == (str(len(viewer["time_s"]) - 4),) * 2
     inner.focus()

@@ -117,6 +117,9 @@ def test_regions_of_true_covariances_cover_as_often_as_they_should(dimensions):
     assert covered == pytest.approx(90, abs=4 * np.sqrt(90 * 10 / 20_000))
     edge = {1: 1.645, 2: 2.146, 3: 2.500}[dimensions]  # radii that hold 90 % of a standard normal
     assert longest == pytest.approx(edge * np.linalg.norm(A, 2), rel=1e-3)
+    judged = {"judged": {"a": (error, np.tile(A @ A.T, (20_000, 1, 1)))}}
+    off, half = np.split(others.region(others.Found({}, {}, judged), "a").to_numpy(), 2, axis=1)
+    np.testing.assert_allclose(100 * (np.abs(off) < half).mean(0), 90, atol=4 * np.sqrt(90 * 10 / 20_000))
 
 
 def test_the_page_counts_what_regions_hold_as_for_all_robots():

@@ -261,15 +261,18 @@ def test_poses_in_another_unit_or_frame_are_refused():
 
 
 def test_coordinates_that_nothing_shows_take_no_freedom():
-    """A body on the first of two segments: the residual counts as if there were one segment."""
+    """A body between two segments, whichever it is said to be on: the second one counts as if it were not there."""
     two, one = (Robot([ConstantCurvature(0.1, 0.02)] * n) for n in (2, 1))
     rng = np.random.default_rng(0)
     q = 0.01 * rng.normal(size=(40, 3))
     T = one.poses(q, [point_on(1, 0.1)])
     T[..., :3, 3] += 3e-3 * rng.normal(size=T[..., :3, 3].shape)
-    a, b = (fit_shape(r, T, [(1, 0.1)]) for r in (two, one))
-    np.testing.assert_array_equal(a.dof, b.dof)
-    np.testing.assert_allclose(a.covariance[:, :3, :3], b.covariance, rtol=1e-6)
+    b = fit_shape(one, T, [(1, 0.1)])
+    for where in ((1, 0.1), (2, 0.0)):
+        a = fit_shape(two, T, [where])
+        np.testing.assert_array_equal(a.dof, b.dof)
+        np.testing.assert_allclose(a.covariance[:, :3, :3], b.covariance, rtol=1e-6)
+        assert np.isnan(a.q[:, 3:]).all()
 
 
 def test_one_slip_of_a_unit_does_not_turn_the_base():

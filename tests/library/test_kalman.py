@@ -300,6 +300,7 @@ def test_an_offset_and_a_heading_are_found_where_the_readings_tell_them():
         (lambda: Drift("gain", -1.0), "start of Drift must be finite and not negative"),
         (lambda: Drift("gain", 1.0, time_s=0.0), "time_s of Drift must be positive"),
         (lambda: Drift("tilt", 1.0, shared=True), "shared of Drift must be of each"),
+        (lambda: Drift("stray", 1.0, shared=True), "shared of Drift must be of each"),
         (lambda: Drifting(linear, []), "at least one; instead received none"),
         (
             lambda: Drifting(linear, [Drift("moment", 1.0)]),

@@ -123,6 +123,18 @@ def test_the_covariance_grows_by_what_is_not_decided():
     assert (std[:, 1] < 0.01).all()
 
 
+def test_what_is_left_out_does_not_change_with_the_noise():
+    """Two readings contradict each other, and a third one hardly tells which of them is right."""
+    A = np.array([[1.0, 0], [1, 0], [0.005, 0], [0, 1], [0, 1], [0, 1]])
+    fit = LevenbergMarquardt(lambda q: q @ A.T, [-9.0] * 2, [9.0] * 2, noise=0.01)
+    u = np.sin(np.arange(160) / 9 + np.arange(2)[:, None]).T @ A.T
+    u += 0.01 * np.random.default_rng(0).normal(size=u.shape)
+    u[20:, :2] += [0.5, -0.5]
+    left = track(fit, u, np.zeros(2)).details["left_out"][24:]
+    assert left[0].sum() == 1
+    assert (left == left[0]).all()
+
+
 def test_what_is_not_decided_of_an_angle_goes_the_shorter_way_round():
     def readings(q):
         return np.concatenate([10 * np.sin(q), 10 * np.sin(q), np.cos(q), np.cos(q)], axis=-1)

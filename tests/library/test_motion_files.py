@@ -88,11 +88,13 @@ def test_a_body_is_lost_as_a_whole_by_an_empty_cell_and_by_a_quaternion_of_zeros
     lines = path.read_text(encoding="utf-8").splitlines()
     cells = lines[7 + 10].split(",")
     lines[7 + 10] = ",".join([*cells[:-2], "", cells[-1]])  # no z
-    cells = lines[7 + 12].split(",")
-    lines[7 + 12] = ",".join([*cells[:10], "0", "0", "0", "0", *cells[14:]])
+    for k in (12, 14):
+        cells = lines[7 + k].split(",")
+        lines[7 + k] = ",".join([*cells[:10], "0", "0", "0", "0", *cells[14:]])
     path.write_text("\n".join(lines), encoding="utf-8")
     take = read_motion(path)
-    assert np.flatnonzero(np.isnan(take.bodies["Module"]).all(axis=1)).tolist() == [3, 10, 12]
+    assert np.flatnonzero(np.isnan(take.bodies["Module"]).all(axis=1)).tolist() == [3, 10, 12, 14]
+    assert take.remarks[0].endswith("without a pose: 4 of 30 (lines 11, 18, 20, 22).")
     assert np.isfinite(take.bodies["Ground"]).all()
 
 
@@ -352,6 +354,8 @@ class TestMeasuredPoses:
             ([2, 0, 1], False, "-y"),
             ([0, 1, 0], True, "+x"),
             ([0, 0, 3], False, "+y"),
+            ([1, 0, 0], True, "+z"),
+            ([3, 0, 0], False, "-z"),
         ],
     )
     def test_bodies_with_the_axes_of_the_room_and_a_straight_start(self, turns, plate, points, tmp_path):
@@ -375,17 +379,17 @@ class TestMeasuredPoses:
 
     def test_coordinates(self):
         robot, q = self.arm(), self.q()
-        q[50:52], q[60], q[70], q[80:102] = 0.0, np.nan, [0.5, 0, 0], q[80]
+        q[50:52], q[60:66:2], q[70], q[80:102] = 0.0, np.nan, [0.5, 0, 0], q[80]
         frame = pd.DataFrame(1e3 * q, columns=[f"{name}_mm" for name in robot.coordinates])
         frame["time_s"] = 0.01 * np.arange(120)
         found = read_poses(robot, frame)
-        expected = [50, 51, 60, 70, *range(81, 102)]
+        expected = [50, 51, 60, 62, 64, 70, *range(81, 102)]
         assert np.flatnonzero(np.isnan(found.q).all(axis=1)).tolist() == expected
         np.testing.assert_allclose(np.delete(found.q, expected, 0), np.delete(q, expected, 0))
         assert found.remarks == (
             "Rows of the table left out, which only repeat the one before, more than 20 in a row: 21 of 120 "
             "(lines 82 to 102).",
-            "Rows of the table without a pose: 24 of 120 (lines 51 to 52, 61, 82 to 102).",
+            "Rows of the table without a pose: 26 of 120 (lines 51 to 52, 61, 63, 65, and so on).",
             "Poses of the table left out, outside the robot's bounds, for delta_x_1 -30 to 30 mm: 1 of 120 "
             "(line 71).",
         )

@@ -235,6 +235,8 @@ def test_estimates_over_time():
     marks = [line for line in below.lines if line.get_marker() == "x"]
     assert len(marks) == 3  # the axes of one chip
     assert marks[0].get_xdata().min() >= 1.0
+    later = np.isin(shape.times, marks[0].get_xdata())
+    np.testing.assert_array_equal(marks[0].get_ydata(), below.lines[3].get_ydata()[later])
 
 
 def test_every_estimator_over_a_robot_names_its_coordinates():

@@ -75,6 +75,9 @@ SPELLINGS = {
     "blanks": lines("  "),
     "lines that end with CR": lines().replace("\n", "\r"),
     "labels": "".join(f"t_s: {t} u1: {a:g} mT, u2={b} mT u3:{c}mT\n" for t, a, b, c in ROWS),
+    "labels and one unit at the end": "".join(
+        f"t: {t}, u1: {1e3 * a}, u2: {1e3 * b}, u3: {1e3 * c} uT\n" for t, a, b, c in ROWS
+    ),
     "JSON": "".join(f'{{"t_s": {t}, "u1": {a}, "u2": {b}, "u3": {c}}}\n' for t, a, b, c in ROWS),
     "one number a line": "".join(
         f"{t:.5f},{x},,\n{t + 0.001:.5f},,{y},\n{t + 0.002:.5f},,,{z}\n"
