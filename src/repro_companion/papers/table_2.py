@@ -462,10 +462,10 @@ def caption(data: Data) -> str:
 
 
 def with_axes(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of methods as it is shown: one column says recording and axis."""
-    axis = {"delta_x": ", Δx", "delta_y": ", Δy"}
+    """Return a table of methods as it is shown: one column says recording and axis; half steps of the rig alone."""
+    axis = {"delta_x": ",\u00a0Δx", "delta_y": ",\u00a0Δy"}
     named = table.assign(bend=table["recording"] + table["quantity"].map(axis))
-    return named[[name for name in METHODS if name in named]]
+    return named[[name for name in METHODS if name in named and name != "half step"]]
 
 
 JUDGEMENT = {
