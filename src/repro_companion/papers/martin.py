@@ -649,7 +649,7 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
 
 CALIBRATED = """
 {% if synthetic %}
-**{{ own }}** Our synthetic sensors err in the ways that the fit knows. Expect less gain on a real arm.
+{{ own }} Our synthetic sensors err in the ways that the fit knows. Expect less gain on a real arm.
 {% else %}
 The cell above has the medians of the authors' trial. *Not calibrated* has no frame fitted either. The table of
 both evaluations says what the frame alone gives. On the synthetic arm it is so: {{ own }}
