@@ -119,7 +119,9 @@ def test_the_gain_is_paired():
                       mitchell.gain(STUDY, mitchell.KALMAN.name, mitchell.BEST.name)])  # fmt: skip
     held = both[(both["setting"] == mitchell.BEST.name) & (both["curve"] != "spiral")]
     assert held["ratio_high"].max() < 0.75
-    assert mitchell.gain_in_words(both).startswith("**Our best filter has 65 % of the error")
+    assert mitchell.gain_in_words(both).startswith(
+        "With velocities our particle filter has 65 % of the error"
+    )
     assert "is 0.6 % smaller still on Flower, and 7 % on Seagull." in mitchell.gain_in_words(both)
 
 

@@ -346,7 +346,7 @@ def test_methods_are_means_over_the_seeds_beside_those_on_networks(data):
     assert [*table_2.methods(table, own[0][:0])] == ["recording", "quantity", "known", "ours"]
     shown = table_2.with_axes(lines)
     assert [*shown] == ["bend", "known", "ours", "filter"]
-    assert shown["bend"].tolist()[:3] == ["T0, Δx", "T0, Δy", "T1, Δx"]
+    assert shown["bend"].tolist()[:3] == ["T0,\u00a0Δx", "T0,\u00a0Δy", "T1,\u00a0Δx"]
 
 
 def test_a_judgement_has_geometric_means_the_worst_recording_and_medians_of_random_rigs():

@@ -246,7 +246,7 @@ def gains(best: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([gain(best), gain(others)], ignore_index=True)
 
 
-CLAIM_NOTE = "3.3 is a slip in print: the mean of the 18 printed cells of the two rows is 4.2"
+CLAIM_NOTE = "3.3 does not follow from the table: the mean of the 18 printed cells of the two rows is 4.2"
 BEST_METHOD = (
     "multipole model calibrated in 100 poses + Levenberg-Marquardt, start straight; "
     "robot off by 0.5 mm, 2 deg and 1 %, noise 7.1e-4 mT"

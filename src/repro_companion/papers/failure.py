@@ -178,12 +178,12 @@ def alarms_shown(alarms: pd.DataFrame) -> pd.DataFrame:
 
 
 NOTICED = """
-With readings to spare, and with either estimator, there was an alarm in at least **{{ soon }} %** of the trials
-within a second after a reading was off by ten standard deviations, or within five seconds for the drift. The first
-part that the monitor named was the right one in at least **{{ first }} %** of the trials in which it named any. In
-{{ "all" if ended == "100" else "at least " ~ ended ~ " %" }} of the trials the alarm had ended one second after the
-fault had. In an hour without a fault, of each arm and estimator, there was
-{{ "an alarm in " ~ quiet ~ " readings" if quiet else "no alarm" }}.
+**If there are readings to spare, a failure is noticed.** Once a reading was off by ten standard deviations, an
+alarm followed within a second (for the drift within five) in at least {{ soon }} % of the trials, with either
+estimator. The first sensor that the monitor named was the right one in at least {{ first }} % of the trials in which
+it named any. One second after the fault the alarm had ended in
+{{ "all" if ended == "100" else "at least " ~ ended ~ " % of the" }} trials. An hour without a fault, of each arm and
+estimator, had {{ "an alarm in " ~ quiet ~ " readings" if quiet else "no alarm" }}.
 """
 
 

@@ -583,9 +583,10 @@ def below_table_ii(table: pd.DataFrame) -> str:
         for evaluation in (SAME_POINT, DESCRIBED)
     )
     return (
-        "Lower: synthetic trials, mean ± standard deviation over sensor draws. The rigid-body column is evaluated as"
-        " in the authors' files, 40 mm before the markers. At the markers the same chain has medians of"
-        f" {at_markers}; the rigid links of the text have {of_text}."
+        "Lower: synthetic trials, mean ± standard deviation over sensor draws. As in the authors' files, the column"
+        " of the rigid-body model has interpolated links and is evaluated 40 mm before the markers; we say below why"
+        f" this matters. At the markers its medians are {at_markers}. With the rigid links of the text they are"
+        f" {of_text}."
     )
 
 
@@ -595,8 +596,11 @@ def _rigid_medians(table: pd.DataFrame) -> pd.Series:
 
 
 CHAINS = """
-Median errors in mm, 40 mm *before* each marker and *at* it. The columns of Table II stand in the third and the last
-row, but at different points. At M1 this compares
+Median errors in mm, 40 mm *before* each marker and *at* it.
+{% if together < apart %}
+**The place of evaluation matters more than the two models of Table II.**
+{% endif %}
+They stand in the third and the last row, but at different points. At M1 this compares
 {{ before | fixed(0) }} mm with {{ fine | fixed(0) }} mm, {{ apart | percent_less }}. At the same point it would be
 {{ here | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ together | percent_less }}. The paper states about 25 %
 less. Where a *rigid* link sits matters more: {{ ends | fixed(0) }} mm if it ends at its IMU, as in the text, and
@@ -645,7 +649,7 @@ def calibration_ratios(table: pd.DataFrame) -> pd.DataFrame:
 
 CALIBRATED = """
 {% if synthetic %}
-**{{ own }}** Our synthetic sensors err in the ways that the fit knows. Expect less gain on a real arm.
+{{ own }} Our synthetic sensors err in the ways that the fit knows. Expect less gain on a real arm.
 {% else %}
 The cell above has the medians of the authors' trial. *Not calibrated* has no frame fitted either. The table of
 both evaluations says what the frame alone gives. On the synthetic arm it is so: {{ own }}

@@ -222,10 +222,17 @@ NOTES = {
     "recorded": "our networks, trained on the authors' recordings",
     "own": "recordings of the reader's own under the authors' names, so not comparable with what they printed",
 }
+LEAD = {
+    "simulated": """The authors' recordings carry no licence and are not part of this project. So two substitutes
+stand below each published error: a **simulated rig** (upright), and robots whose readings come from the networks that
+the authors released (italic). Neither can confirm or refute the paper's numbers.""",
+    "recorded": "Below each published error stands ours, from the **authors' recordings**.",
+    "own": "",
+}
+"""What a page says above its table, by the source of its data."""
 ABOUT = {
-    "simulated": """The authors' recordings carry no licence and are not part of this project, so this page uses a
-**simulated rig**. Its numbers cannot confirm or refute the paper's. With the recordings this page computes Table 2
-from them and compares 37 numbers with the published ones, two of which are the means in the text:
+    "simulated": """With the recordings this page computes Table 2 from them, and compares 37 numbers with the
+published ones, two of which are the means in the text:
 
 ```bash
 .venv/bin/repro fetch baaij2023
@@ -239,15 +246,14 @@ needs torch. It trains nine networks, a minute each, shows how far it is, and go
     "own": """This page ran on **recordings of your own** under the authors' names, so nothing on it is compared
 with the published numbers.""",
 }
-"""What a page says first, by the source of its data."""
+"""What it says below."""
 RECORDINGS = {
     "simulated": """Our rig works in three steps:
 
-1. Torques of section 5.3 become pressures, and the pressures a bend with lag and hysteresis. We take it to the place
-   of each recording: we shift and scale it to the means and deviations that the authors' networks keep of their
-   inputs, in their first layer.
-2. magpylib computes the field of the ring at three sensors. These are the sensors that fit the predictions of the
-   authors' networks best, plus a smooth ripple.
+1. Torques of section 5.3 become pressures, and the pressures a bend with lag and hysteresis. We shift and scale the
+   bend until its mean and deviation are those of the recording, which the first layer of the authors' networks tells.
+2. Magpylib computes the field of the ring at three sensors. We chose directions and gains with which these sensors
+   read what the authors' networks predict, as nearly as possible, and added a smooth ripple.
 3. Noise, drift and a 16-bit converter make the readings. Each recording has a bias of up to 4 mV, which the
    sensors share.
 
@@ -255,12 +261,11 @@ We assumed everything else, including the biases, and froze it before any estima
 
 The authors also released the networks that they trained on each recording. They carry no licence, so this
 project does not contain them, but `repro fetch baaij2023_networks` brings 36 (six recordings, three sensors,
-two seeds). In a stored study we took them as robots: our rig moved, and the networks of each recording (mean of
-two seeds, plus noise) gave the readings. The networks of T5 are the model. The third line of Table 2 shows the
-errors of the paper's method there. On T5 this is nearly circular, because the robot is the mean of the two
-models. T4 is missing, because the readings of its networks differ by 4.7 mV between seeds, more than the
-printed error of 3.0 mV. Without T4 the paper's means are 3.6 % for the readings and 4.9 % for
-the bend.""",
+two seeds). In a stored study they play the robot. We move the rig, and the networks of each recording (mean of
+two seeds, plus noise) say what its sensors read. Then we estimate the bend with the networks of T5, as the
+authors do. This gives the third line of Table 2. On T5 it says little, because there robot and model are the same
+networks. T4 is missing, because its two seeds differ by 4.7 mV, more than the printed error of 3.0 mV.
+Without T4 the paper's means are 3.6 % for the readings and 4.9 % for the bend.""",
     "recorded": """We read poses and readings of six recordings and follow the authors' pipeline: bends in closed
 form from the pose of the ring, and both starts of inflation put together. We check the alignment against all other
 lags.""",
@@ -457,16 +462,16 @@ def caption(data: Data) -> str:
 
 
 def with_axes(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of methods as it is shown: one column says recording and axis."""
-    axis = {"delta_x": ", Δx", "delta_y": ", Δy"}
+    """Return a table of methods as it is shown: one column says recording and axis; half steps of the rig alone."""
+    axis = {"delta_x": ",\u00a0Δx", "delta_y": ",\u00a0Δy"}
     named = table.assign(bend=table["recording"] + table["quantity"].map(axis))
-    return named[[name for name in METHODS if name in named]]
+    return named[[name for name in METHODS if name in named and name != "half step"]]
 
 
 JUDGEMENT = {
     "robot": "robot",
-    "of_descent": "filter / descent",
-    "of_half_step": "/ half step",
+    "of_descent": "against descent",
+    "of_half_step": "half step",
     "own_biases": "own biases",
     "far_percent": "far off [%]",
     "far_unsaid_percent": "no flag [%]",
@@ -474,12 +479,13 @@ JUDGEMENT = {
 }
 
 
-JUDGED = """Ratios of errors are geometric means over recordings and axes, of random rigs the median. Below one our
-filter is better, although the descent knows start and elongation. On the authors' networks it is worse in five of
-the ten errors. *Own biases*: the same over the descent for a filter with a further bias for each sensor. *Far off*:
-largest share of frames of a recording with an error above 5 mm, and how many of these the filter does not flag.
-*Covered*: frames whose true bend lies in the 95 % ellipse. Do not trust it: the plates err more in other recordings
-than T5.train shows."""
+JUDGED = """The first two columns say how many times the error of the descent our filter has, as a geometric mean
+over recordings and axes (of random rigs the median). Below one the filter is better, although the descent knows start
+and elongation. On the authors' networks it is worse in five of the ten errors. *Far off*: frames with an error above
+5 mm, in the worst recording. *Covered*: frames whose true bend lies in the 95 % ellipse. Do not trust this ellipse,
+because the plates have larger errors in other recordings than T5.train shows."""
+SHOWN = ["robot", "of_descent", "of_half_step", "far_percent", "covered_percent"]
+"""Columns of the judgement that a page shows."""
 
 
 def judgement(study: pd.DataFrame) -> pd.DataFrame:

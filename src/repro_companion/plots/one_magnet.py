@@ -87,11 +87,10 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of bend and direction by take, a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
     figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.6), sharex=True, height_ratios=[1.4, 1])
-    colours = (PINK, ORANGE, YELLOW, SKY, BLUE, GREEN, "#767676")
-    for k, (name, colour, marker) in enumerate(zip(names, colours, "osDvX^P", strict=False)):
+    for k, (name, colour, marker) in enumerate(zip(names, (ORANGE, GREEN, BLUE), "sDo", strict=False)):
         own = errors[errors["name"] == name].set_index("take").reindex(takes)
-        x = np.arange(len(takes)) + 0.12 * (k - (len(names) - 1) / 2)
-        look = {"color": colour, "ls": "", "marker": marker, "ms": 5, "mew": 0}
+        x = np.arange(len(takes)) + 0.2 * (k - (len(names) - 1) / 2)
+        look = {"color": colour, "ls": "", "marker": marker, "ms": 7, "mew": 0}
         panels[0].plot(x, own["rmse_deg"], label=name, **look)
         panels[1].plot(x, own["direction_deg"], **look)
     panels[0].set(ylabel="bend: RMSE [°]", ylim=(0, None))
@@ -213,21 +212,22 @@ def bend_error_by_noise(
         colour, marker = CURVE_LOOKS[str(name)]
         label = str(name).capitalize()
         top.plot("process_noise_pi", "rmse_mm", marker, data=part, color=colour, ms=6, label=label)
-    top.plot(law.index, law, color="0.5", lw=1, label="law")
+    top.plot(law.index, law, color="0.5", lw=1, label="law (see text)")
     top.axhspan(min(printed) - 5e-5, max(printed) + 5e-5, color=YELLOW, alpha=0.8, lw=0, label="published")
-    top.axvline(0.02, color="0.5", lw=1, ls=":", label="noise in the paper")
-    top.set(yscale="log", title="perfect sensor")
+    top.axvline(0.02, color="0.5", lw=1, ls=":", label="paper's noise")
+    top.set(yscale="log", title="without sensor noise")
     for name, part in noisy.groupby("setting", sort=False):
         look = {"random walk": (SKY, "v"), "constant velocity": (ORANGE, "^")}[str(name)]
         own = part.groupby("process_noise_pi")["rmse_mm"].mean()
         bottom.plot(own.index, own, color=look[0], marker=look[1], ms=6, label=name)
     bottom.axhline(single, color="0.5", ls="--", label="least squares, one reading")
     bottom.set(
-        title="real sensor, mean of the curves", yscale="log", ylim=(0.035, 0.13), yticks=[0.04, 0.06, 0.1],
+        title="with sensor noise, mean of the curves", yscale="log", ylim=(0.035, 0.13), yticks=[0.04, 0.06, 0.1],
         xscale="log", xticks=[5e-4, 0.002, 0.005, 0.02],
     )  # fmt: skip
     plain_numbers(bottom.xaxis, bottom.yaxis, top.yaxis)
     for panel in (top, bottom):
         panel.set_ylabel("RMSE [mm]")
-        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
+    top.legend(loc="upper right", ncols=2, **BESIDE)
+    bottom.legend(loc="lower right", **BESIDE)
     return figure
