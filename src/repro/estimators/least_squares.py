@@ -43,7 +43,7 @@ from repro.estimators.base import (
     spread,
     start,
 )
-from repro.sensing import cut, difference, evaluate, network_for, room_for, turned, unpack
+from repro.sensing import cut, evaluate, network_for, residuals, room_for, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
@@ -378,9 +378,7 @@ def _fit(packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, a
             x[a] = best[a]
         while says[_DONE] == 0.0:
             evaluate(kinds, network, t, x, n > 0, hat, J, room)
-            difference(len(t.row_frame), row, hat, r)
-            if kinds is not None:
-                turned(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
+            residuals(kinds, t, row, hat, r, room)
             advance(
                 hat,
                 r,
