@@ -22,10 +22,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require
+from repro.common import Array, bad_input, compiled_beside, kernel, numbers, require, result_of
 from repro.estimators.base import (
     Estimate,
     Tuned,
@@ -356,7 +357,21 @@ def _numbers_in_fit(n: int, s: int) -> int:
     return 2 * n * n + (s + 3) * n + 2 * s
 
 
-@kernel(entry=True, allocates=True)
+def _compile_ahead(
+    packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts
+):
+    """Compile what ``_fit`` calls, of given types: the half that takes longest beside all the rest."""
+    ints, floats, weights, kinds = packed
+    t, matrix = result_of(unpack, ints, floats), own.copy(ndim=2)
+    network, room = result_of(network_for, t, weights), result_of(room_for, t, work)
+    with compiled_beside(evaluate, kinds, network, t, own, types.boolean, own, matrix, room):
+        result_of(residuals, kinds, t, u, own, own, room)
+        prior, row = priors.copy(ndim=2), (own, own, matrix)
+        result_of(advance, *row, settings, prior, held, own, q, u_hat, matrix, own, status, own, matrix)
+        result_of(_finish, settings, by_bounds, matrix, q, held, matrix, C, at_bound, status, counts)
+
+
+@kernel(entry=True, allocates=True, ahead=_compile_ahead)
 def _fit(packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts):
     """Fit every member of a batch; members stand one after the other.
 
