@@ -197,7 +197,7 @@ def kernel(
     reorder: bool = False,
     allocates: bool = False,
     apart: bool = False,
-    ahead: Callable[..., None] | None = None,
+    ahead: Callable[[tuple[Any, ...]], None] | None = None,
 ) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
@@ -272,7 +272,7 @@ def _attend_to_compiling() -> None:
             self.told = True
             ahead = getattr(event.data["dispatcher"], "ahead", None)
             if ahead is not None:
-                ahead(*event.data["args"])
+                ahead(event.data["args"])
 
         def on_end(self, event: Any) -> None:
             self.within -= _is_ours(event)

@@ -357,17 +357,16 @@ def _numbers_in_fit(n: int, s: int) -> int:
     return 2 * n * n + (s + 3) * n + 2 * s
 
 
-def _compile_ahead(
-    packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts
-):
+def _compile_ahead(given: tuple[Any, ...]) -> None:
     """Compile what ``_fit`` calls, of given types: the half that takes longest beside all the rest."""
+    packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts = given
     ints, floats, weights, kinds = packed
     t, matrix = result_of(unpack, ints, floats), own.copy(ndim=2)
     network, room = result_of(network_for, t, weights), result_of(room_for, t, work)
     with compiled_beside(evaluate, kinds, network, t, own, types.boolean, own, matrix, room):
         result_of(residuals, kinds, t, u, own, own, room)
-        prior, row = priors.copy(ndim=2), (own, own, matrix)
-        result_of(advance, *row, settings, prior, held, own, q, u_hat, matrix, own, status, own, matrix)
+        trial = own, own, matrix, settings, priors, held, own
+        result_of(advance, *trial, q, u_hat, matrix, own, status, own, matrix)
         result_of(_finish, settings, by_bounds, matrix, q, held, matrix, C, at_bound, status, counts)
 
 
