@@ -8,9 +8,12 @@ import gc
 import hashlib
 import math
 import os
+import pickle
 import secrets
 import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -194,6 +197,7 @@ def kernel(
     reorder: bool = False,
     allocates: bool = False,
     apart: bool = False,
+    ahead: Callable[[tuple[Any, ...]], None] | None = None,
 ) -> Any:
     """Compile a function when it is first called, and keep the machine code on disk for other processes.
 
@@ -213,9 +217,13 @@ def kernel(
         of their time.
     apart
         Whether the function is not inlined, which halves the compiler's work on a long one.
+    ahead
+        Is called with the types of the arguments when the function is not on disk, and compiles what it calls.
     """
     if function is None:
-        return lambda found: kernel(found, entry=entry, reorder=reorder, allocates=allocates, apart=apart)
+        return lambda found: kernel(
+            found, entry=entry, reorder=reorder, allocates=allocates, apart=apart, ahead=ahead
+        )
     import numba
 
     _attend_to_compiling()
@@ -231,7 +239,9 @@ def kernel(
         # Tables are many words to hand on at every call. Inlining would change sums that may be reordered.
         options["forceinline"] = not (entry or reorder or apart)
         options["nogil"] = entry  # several threads may estimate at a time
-        return numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
+        found: Any = numba.njit(function, cache=_writable(config.CACHE_DIR), **options)
+        found.ahead = ahead
+        return found
     finally:
         config.CACHE_DIR = before
 
@@ -257,9 +267,12 @@ def _attend_to_compiling() -> None:
                 gc.disable()
             self.within += 1
             if not self.told and "REPRO_RESULTS" not in os.environ:
-                words = "Compiling for this machine once, about 20 s; later runs take it from disk."
+                words = "Compiling for this machine once, about 10 s; later runs take it from disk."
                 print(f"repro: {words}", file=sys.stderr)
             self.told = True
+            ahead = getattr(event.data["dispatcher"], "ahead", None)
+            if ahead is not None:
+                ahead(event.data["args"])
 
         def on_end(self, event: Any) -> None:
             self.within -= _is_ours(event)
@@ -267,6 +280,60 @@ def _attend_to_compiling() -> None:
                 gc.enable()
 
     event.register("numba:compile", Attending())
+
+
+_PATIENCE_S = 60.0
+"""Longest wait for another process that compiles [s]."""
+_COMPILE = """
+import importlib, pickle, sys
+sys.path[:], module, name = pickle.load(sys.stdin.buffer)
+getattr(importlib.import_module(module), name).compile(pickle.load(sys.stdin.buffer))
+"""
+
+
+def result_of(function: Any, *types: Any) -> Any:
+    """Compile a kernel for the types of its arguments, and return the type of its result."""
+    function.compile(types)
+    return function.overloads[types].signature.return_type
+
+
+@contextmanager
+def compiled_beside(function: Any, *types: Any) -> Iterator[None]:
+    """Let another process compile a kernel, and write it to disk, while the block compiles others.
+
+    What calls the kernel finds it on disk then. Where there can be no such process, it compiles the kernel.
+    """
+    # A program that has Python inside would be started anew by its own name.
+    is_python = "python" in Path(sys.executable or "").name and not hasattr(sys, "frozen")
+    is_kept = function.stats.cache_path is not None and types not in function.overloads
+    child = None
+    if is_python and is_kept and (os.cpu_count() or 1) > 1:
+        with suppress(OSError):
+            child = _compiling(function, types)
+    try:
+        yield
+        if child is not None:
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(_PATIENCE_S)
+    finally:
+        if child is not None:
+            child.kill()
+            child.wait()
+
+
+def _compiling(function: Any, types: tuple[Any, ...]) -> subprocess.Popen[bytes]:
+    """Return a process that compiles a kernel. It is a new one, because threads do not survive a fork."""
+    with tempfile.TemporaryFile() as given:
+        pickle.dump((sys.path, function.__module__, function.__name__), given)
+        pickle.dump(types, given)
+        given.seek(0)
+        return subprocess.Popen(
+            [sys.executable, "-I", "-c", _COMPILE],
+            stdin=given,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
 
 
 def _is_ours(event: Any) -> bool:

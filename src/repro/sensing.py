@@ -396,6 +396,14 @@ def turned(n_s, u, u_hat, r, A, B, W):
         rotation_vector(W, r[row : row + 3])
 
 
+@kernel
+def residuals(kinds, t, u, u_hat, r, room):
+    """Write what was read beyond what was predicted, of all sensors of a robot."""
+    difference(len(t.row_frame), u, u_hat, r)
+    if kinds is not None:  # known when it is compiled
+        turned(len(t.row_frame), u, u_hat, r, room.T, room.L, room.W)
+
+
 @kernel(entry=True, allocates=True)
 def _batch(ints, floats, weights, kinds, work, q, task, u, J, extra):
     """Evaluate a batch: one kernel for all tasks, because compiling it takes seconds.

@@ -151,5 +151,44 @@ def test_a_process_says_once_that_it_compiles_if_nothing_is_on_disk_and_a_page_n
     first, page = ({"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("first", "page"))
     assert said(**page, REPRO_RESULTS=str(tmp_path)) == []
     (line,) = said(**first)
-    assert line == "repro: Compiling for this machine once, about 20 s; later runs take it from disk."
+    assert line == "repro: Compiling for this machine once, about 10 s; later runs take it from disk."
     assert said(**first) == []
+
+
+FIRST_ANSWER = """
+import sys
+import repro
+from repro.sensing import evaluate
+
+def heard(event, given):
+    if event == "subprocess.Popen":
+        print("process")
+        if "alone" in sys.argv:
+            raise PermissionError
+
+sys.addaudithook(heard)
+robot = repro.load_robot(repro.example() / "robot.toml")
+method = repro.LevenbergMarquardt(robot)
+_, estimate = method.step(method.init(), [0.1 * k for k in range(robot.n_readings)])
+print(sum(evaluate.stats.cache_hits.values()))
+print(estimate.q.tobytes().hex(), estimate.covariance.tobytes().hex())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one process compiles everything")
+def test_two_processes_compile_the_same_kernels_as_one(tmp_path):
+    """And what is on disk starts no process."""
+
+    def answered(folder, *words):
+        environment = os.environ | {"PYTHONPATH": str(SOURCES), "NUMBA_CACHE_DIR": str(tmp_path / folder)}
+        command = [sys.executable, "-c", FIRST_ANSWER, *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        *said, bits = done.stdout.splitlines()
+        return said, bits, sorted(x.name.split("-")[0] for x in (tmp_path / folder).rglob("*.nbc"))
+
+    said, *together = answered("together")
+    assert said == ["process", "1"]
+    assert answered("together") == (["0"], *together)
+    assert answered("alone", "alone")[0] == ["process", "0"]
+    assert answered("alone") == (["0"], *together)

@@ -21,7 +21,7 @@ from repro.estimators.base import (
     start,
 )
 from repro.parts import Assembly
-from repro.sensing import Sensing, difference, evaluate, network_for, room_for, sensing_of, turned, unpack
+from repro.sensing import Sensing, evaluate, network_for, residuals, room_for, sensing_of, unpack
 
 _ABSURD = 1e3
 """Residuals so many times as large as what the model predicts, which no iterate makes smaller, are no readings."""
@@ -233,9 +233,7 @@ def _descend(ints, floats, weights, kinds, work, u, moves, limits, momentum, ite
         for iteration in range(iterations):
             last = iteration == iterations - 1
             evaluate(kinds, network, t, x, not last, hat, J, room)
-            difference(len(t.row_frame), u[k], hat, r)
-            if kinds is not None:
-                turned(len(t.row_frame), u[k], hat, r, room.T, room.L, room.W)
+            residuals(kinds, t, u[k], hat, r, room)
             _judge(hat, r, J, moves[k], limits, momentum, iteration, last, x, q[k], b[k], u_hat[k], status[k])
 
 

@@ -22,10 +22,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import ArrayLike
 
 from repro.angles import FreeAngles
-from repro.common import Array, bad_input, kernel, numbers, require
+from repro.common import Array, bad_input, compiled_beside, kernel, numbers, require, result_of
 from repro.estimators.base import (
     Estimate,
     Tuned,
@@ -43,7 +44,7 @@ from repro.estimators.base import (
     spread,
     start,
 )
-from repro.sensing import cut, difference, evaluate, network_for, room_for, turned, unpack
+from repro.sensing import cut, evaluate, network_for, residuals, room_for, unpack
 
 _DAMPING, CHI2, TURN, _DONE, _DETERMINED, _WEAK, _USED = range(7)
 """What is said of a fit in floating point; chi-square is the cost, with what the prior is off."""
@@ -356,7 +357,20 @@ def _numbers_in_fit(n: int, s: int) -> int:
     return 2 * n * n + (s + 3) * n + 2 * s
 
 
-@kernel(entry=True, allocates=True)
+def _compile_ahead(given: tuple[Any, ...]) -> None:
+    """Compile what ``_fit`` calls, of given types: the half that takes longest beside all the rest."""
+    packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts = given
+    ints, floats, weights, kinds = packed
+    t, matrix = result_of(unpack, ints, floats), own.copy(ndim=2)
+    network, room = result_of(network_for, t, weights), result_of(room_for, t, work)
+    with compiled_beside(evaluate, kinds, network, t, own, types.boolean, own, matrix, room):
+        result_of(residuals, kinds, t, u, own, own, room)
+        trial = own, own, matrix, settings, priors, held, own
+        result_of(advance, *trial, q, u_hat, matrix, own, status, own, matrix)
+        result_of(_finish, settings, by_bounds, matrix, q, held, matrix, C, at_bound, status, counts)
+
+
+@kernel(entry=True, allocates=True, ahead=_compile_ahead)
 def _fit(packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, at_bound, status, counts):
     """Fit every member of a batch; members stand one after the other.
 
@@ -378,9 +392,7 @@ def _fit(packed, work, own, settings, by_bounds, priors, held, u, q, C, u_hat, a
             x[a] = best[a]
         while says[_DONE] == 0.0:
             evaluate(kinds, network, t, x, n > 0, hat, J, room)
-            difference(len(t.row_frame), row, hat, r)
-            if kinds is not None:
-                turned(len(t.row_frame), row, hat, r, room.T, room.L, room.W)
+            residuals(kinds, t, row, hat, r, room)
             advance(
                 hat,
                 r,
