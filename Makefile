@@ -59,11 +59,12 @@ page: .env-book
 	@$(PY) -m repro_companion.build $(P)
 
 # Modules stay whole: what a module prepares is prepared once. Those that mostly wait, for ports and clocks, come first,
-# and one process more than there are cores uses what their waiting leaves.
+# and one process more than there are cores uses what their waiting leaves. Then come those of the whole project, some
+# of which are long: the last one would run alone. A folder named beside one of its own would lose its place.
 test: env
 	$(PY) -m repro_companion.kernels
 	$(PY) -m pytest -n $$(($(JOBS) + 1)) --max-worker-restart 1 --dist loadscope --no-loadscope-reorder --durations=40 --ignore-glob='tests/book/test_site*.py' \
-	  tests/board tests src
+	  tests/board tests/test_*.py $(filter-out tests/board/,$(sort $(wildcard tests/*/))) src
 
 # A list that anybody may add to: bench/mutants/mutants.toml
 mutants: env

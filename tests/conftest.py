@@ -1,18 +1,18 @@
-"""What all tests share: the settings of hypothesis and torch, and the browser."""
+"""What all tests share: one thread, the settings of hypothesis, and the browser."""
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 
 import pytest
-import torch
 from chromium import find, started
 from hypothesis import HealthCheck, settings
 
 collect_ignore = ["conftest.py"]  # it has no examples to run, and other folders have a module of this name
 
-torch.set_num_threads(1)
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # for libraries that modules of tests load, torch among them
 # Started in the background of a script, this process and its children ignore interruptions, which tests send.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile(

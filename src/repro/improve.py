@@ -408,10 +408,8 @@ def _in_words(old: Assembly, new: Assembly, kind: str, k: int) -> str:
 
 def _nearer(robot: Assembly, was: Place, now: Place) -> tuple[float, int]:
     """Return by how much a place is nearer to its magnet at rest [mm], and which magnet that is."""
-    p = (
-        1e3
-        * robot.poses(robot.usual_shape, [was, now, *(magnet.place for magnet in robot.magnets)])[:, :3, 3]
-    )
+    at = [was, now, *(magnet.place for magnet in robot.magnets)]
+    p = 1e3 * robot.poses(robot.usual_shape, at)[:, :3, 3]
     far = np.linalg.norm(p[2:] - p[1], axis=1)
     magnet = int(far.argmin())
     return float(np.linalg.norm(p[2 + magnet] - p[0]) - far[magnet]), magnet + 1

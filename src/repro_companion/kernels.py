@@ -1,18 +1,26 @@
 """Compile the kernels that pages and tests use, in processes beside each other, before these start.
 
 ``python -m repro_companion.kernels`` compiles what this machine does not have yet. Pages or tests that start together
-would else each compile the same.
+would else each compile the same. A part that is compiled leaves an empty file, so that nothing loads it again to see
+that it is there.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
+import numba
 import numpy as np
+from llvmlite.binding import get_host_cpu_name
 
+import repro
 from repro import BendSensor, KalmanFilter, LevenbergMarquardt, Link, Sensing, track
+from repro.chain import turn
 from repro.estimators.rod import Rod, RodFilter, RodSensor
 from repro.networks import Network
 from repro_companion.papers import baaij, mitchell
@@ -59,12 +67,24 @@ def of_filters() -> None:
 PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "models": of_models, "filters": of_filters}
 
 
+def note_of(name: str) -> Path:
+    """Return the file that says that a part is compiled: from these sources, by this numba, for this processor."""
+    sources = [Path(__file__), *sorted(Path(repro.__file__).parent.rglob("*.py"))]
+    # numba compiles anew where a file has another time, too.
+    key = [file.stat().st_mtime_ns for file in sources], sys.version, numba.__version__, get_host_cpu_name()
+    # Where nothing is kept, no part is there ever.
+    folder = getattr(getattr(turn, "stats", None), "cache_path", None) or os.devnull
+    return Path(folder, f"{name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}")
+
+
 def main(names: Sequence[str]) -> int:
-    """Compile the parts named; or all, each in a process of its own."""
+    """Compile the parts named; or all that are not there yet, each in a process of its own."""
     for name in names:
         PARTS[name]()
+        note_of(name).touch()
+    due = [] if names else [name for name in PARTS if not note_of(name).exists()]
     command = [sys.executable, "-m", "repro_companion.kernels"]
-    running = [subprocess.Popen([*command, name], stderr=subprocess.DEVNULL) for name in PARTS if not names]
+    running = [subprocess.Popen([*command, name], stderr=subprocess.DEVNULL) for name in due]
     if sum(process.wait() for process in running):
         print("Kernels could not be compiled ahead, so each process compiles its own.", file=sys.stderr)
     return 0

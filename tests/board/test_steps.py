@@ -347,6 +347,9 @@ def test_what_a_sketch_prints_is_the_same_in_a_file_and_from_a_port(tmp_path, fo
     (tmp_path / "log.txt").write_text(text, encoding="utf-8")
     table = CHIP.readings(tmp_path / "log.txt")
     np.testing.assert_allclose(table, u * (1e-3 if "uT" in form else 1.0), rtol=1e-12)
+    assert table.times is None
+    unsure = "Columns without a unit are taken as mT: u1, u2, u3." in table.remarks
+    assert unsure == ("uT" not in form)
     parser = Parser()
     steps = Steps(CHIP, source=parser)
     found = [step.u for step in steps.feed(parser.feed(b"\n" + text.encode()), 0.0)]

@@ -265,13 +265,6 @@ def test_letters_of_figures_are_words_and_large_enough(path):
     assert [text for text, size_px in texts if size_px < SMALLEST_LETTERS_PX and len(text) > 1] == []
 
 
-@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
-def test_no_page_shows_a_warning(path):
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    outputs = [output for cell in cells for output in cell.get("outputs", [])]
-    assert [output["text"] for output in outputs if output.get("name") == "stderr"] == []
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_links(name):
     """Links inside the site lead somewhere; nothing but a reader's click leads outside."""

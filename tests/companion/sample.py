@@ -9,8 +9,6 @@ from typing import Any
 import nbformat
 import numpy as np
 
-STORED = np.load(Path(__file__).parents[1] / "oracles" / "first_edition.npz")
-"""What the first edition of this project answered, an implementation of its own by torch (commit 13f7d3e)."""
 ONE_DEVIATION: Any = SimpleNamespace(standard_normal=np.ones, random=np.ones)
 """In place of a generator: everything is off by one standard deviation, and nothing happens by chance."""
 PARAMETERS = """\

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 import repro
 from repro_companion.papers import baaij
 from repro_companion.scorecard import published
-
-from .sample import STORED
+from tests.library.robots import STORED
 
 ROOT = Path(__file__).resolve().parents[2]
 SHAPES = st.tuples(

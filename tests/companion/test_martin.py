@@ -17,6 +17,7 @@ from repro_companion.run import project_folder
 from repro_companion.scorecard import published
 
 from .sample import ONE_DEVIATION
+from .trial_files import turned_about
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +40,6 @@ def short(trial):
 @pytest.fixture(scope="module")
 def table(short):
     return martin.marker_errors([short], martin.cases())
-
-
-def turned_about(axis, *angles):
-    return Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
 
 
 # The arm and Table I

@@ -20,10 +20,6 @@ PCC_16 = martin.Case("Fig. 4", "pcc", 8, 16)
 PCC_8 = martin.Case("Fig. 4", "pcc", 8, 8)
 
 
-def turned_about(axis, *angles):
-    return Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
-
-
 @pytest.fixture(scope="module")
 def trial():
     """Its first 3,400 samples."""
@@ -315,7 +311,7 @@ def test_raw_quaternions_are_read_in_the_inferred_form(recording, trial, clock_s
 
 def test_next_imu_closed_form():
     """Quarter turns about x, from frames that are turned about the arm in different ways."""
-    before = turned_about([0, 0, 1.0], 0.0, 1.0, 3.0)
+    before = trial_files.turned_about([0, 0, 1.0], 0.0, 1.0, 3.0)
     quarter = Rotation.from_rotvec([np.pi / 2, 0, 0])
     after = quarter * Rotation.from_quat(before)
     halfway = (Rotation.from_rotvec([np.pi / 4, 0, 0]) * Rotation.from_quat(before)).apply(martin.UP)

@@ -15,8 +15,7 @@ from repro_companion import show
 from repro_companion.papers import mitchell
 from repro_companion.scorecard import published, scorecard
 from repro_companion.show import KEY, project_folder
-
-from .sample import STORED
+from tests.library.robots import STORED
 
 STUDY = pd.read_csv(project_folder() / "data" / "studies" / "particle_filter.csv")
 

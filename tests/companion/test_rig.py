@@ -15,8 +15,7 @@ from repro import GradientDescent, InputError, Sensing, track
 from repro.chain import place
 from repro_companion.papers import fetch, rig, simulated_rig, table_2
 from repro_companion.scorecard import published
-
-from .sample import STORED
+from tests.library.robots import STORED
 
 LOUD = SimpleNamespace(**(vars(simulated_rig.RIG) | {"noise": 3.6, "inflated_noise": 8.25}))
 """Fifteen times the noise."""

@@ -6,12 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from repro_companion.papers import martin_capture, martin_files
 from repro_companion.papers.martin import Trial
 
 START = pd.Timestamp("2022-02-23 15:44:33.431827")
 BASE_MM = np.array([12.0, -34.0, 900.0])
+
+
+def turned_about(axis: list[float], *angles: float) -> np.ndarray:
+    """Return the quaternions of turns about an axis."""
+    return Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
 
 
 def times_of(since_s: np.ndarray) -> list[str]:

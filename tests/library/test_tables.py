@@ -189,29 +189,6 @@ def test_a_unit_that_nobody_stated_is_refused():
         robot(unit="raw").readings(frame.set_axis(["u1_V", "u2_V", "u3_V"], axis=1))
 
 
-LOGS = {
-    "commas": "{},{},{}\n",
-    "commas and blanks": "{}, {}, {}\r\n",
-    "blanks": "{} {}  {}\n",
-    "brackets": "[{}, {}, {}]\n",
-    "tuples": "({}, {}, {})\n",
-    "Python's bytes": "b'{},{},{}\\r\\n'\n",
-    "JSON": '{{"u1": {}, "u2": {}, "u3": {}}}\n',
-    "labels": "u1: {} u2: {} u3: {}\n",
-    "a label a line": ">u1:{}\n>u2:{}\n>u3:{}\n",
-}
-
-
-@pytest.mark.parametrize("line", LOGS.values(), ids=LOGS)
-def test_what_boards_print(tmp_path, line):
-    text = "".join(line.format(*row) for row in ROWS[:, 1:])
-    readings = robot().readings(written(tmp_path, text))
-    np.testing.assert_allclose(readings, ROWS[:, 1:])
-    assert readings.times is None
-    assert "Columns without a unit are taken as mT: u1, u2, u3." in readings.remarks
-    assert read_table(tmp_path / "mine.csv", rate_hz=20.0).times.tolist() == [0.0, 0.05, 0.1]
-
-
 CLOCKS = {
     "a clock": ("time,u1,u2,u3\n", "14:02:11.{:03.0f},{},{},{}\n", 50531.0),
     "the old Arduino IDE": ("", "14:02:11.{:03.0f} -> {},{},{}\n", 50531.0),
@@ -845,6 +822,7 @@ def test_a_rate_is_positive_and_never_ignored_in_silence(tmp_path):
     table = read_table(path, 40.0)
     np.testing.assert_allclose(table.times, ROWS[:, 0])
     assert table.remarks == ("mine.csv has times: the rate of 40 Hz is not used.",)
+    assert read_table(written(tmp_path, "0,0,0\n" * 3), 20.0).times.tolist() == [0.0, 0.05, 0.1]
 
 
 def test_a_column_that_is_there_twice_is_not_said_to_be_meant():
