@@ -134,13 +134,13 @@ FAILURES = {
 FAILURES_IN_WORDS = """
 **What to see.** If one of four chips fails, the error of the tip grows from {{ healthy | two }} to at most
 {{ four | two }} mm. If one of two chips fails, the rest does not determine the shape: the error grows to
-{{ two | two }} mm at most, and a stated ± of {{ stated | two }} mm or more says so. The monitor names a chip that goes
-on sending in {{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
+{{ two | two }} mm at most, and a stated ± of {{ stated | two }} mm or more says so. The monitor names a chip that
+goes on sending in {{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
 """
 FAILURE_TERMS = """
 All numbers count from the failure on. *Error* is the distance of the estimated tip from the true one, and *stated ±*
-one standard deviation of the tip; both are medians. *Alarm* says how much of the time the monitor doubts the readings,
-and *named* how much of the time it names the right chip and no other.
+one standard deviation of the tip; both are medians. *Alarm* says how much of the time the monitor doubts the
+readings, and *named* how much of the time it names the right chip and no other.
 """
 
 
