@@ -632,7 +632,7 @@ def drift_by_minute(seed: int) -> pd.DataFrame:
 
 
 def drift() -> pd.DataFrame:
-    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: three minutes.
+    """Return errors of the tip by minute for 20 robots whose sensors drift, and six methods: four minutes.
 
     A run that is finished stands in runs/drift and is not computed again.
     """
