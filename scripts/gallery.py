@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -76,13 +77,13 @@ def results(name: str) -> tuple[str, str]:
     """Return what a check says of a robot, and its row of the table [mm]."""
     robot = load_robot(FILES / f"{name}.toml")
     said, _, sizes = robot.check().verdict.partition(":")
-    chips, noise = [], []
+    chips, noise, of_reading = [], [], np.asarray(robot.noise)
     if robot.sensors:
         chips.append(f"{len(robot.sensors)} × 3 axes")
-        noise.append(f"{1e3 * robot.noise[0]:.3g} µT")
+        noise.append(f"{1e3 * of_reading[0]:.3g} µT")
     if robot.imus:
         chips.append(f"{len(robot.imus)} IMU{'s' if len(robot.imus) > 1 else ''}")
-        noise.append(f"{np.degrees(robot.noise[-1]):.2g}°")
+        noise.append(f"{np.degrees(of_reading[-1]):.2g}°")
     numbers = [*re.findall(r"±([\d.]+) mm", sizes), f"{tip_error(robot):.2g}"]
     cells = [f"[{TITLES[name]}](#robot-{name})", ", ".join(chips), ", ".join(noise), *numbers]
     return f"{said}.", f"| {' | '.join(cells)} |\n"
@@ -114,7 +115,7 @@ def draw(name: str, path: Path) -> None:
     robot = load_robot(FILES / f"{name}.toml")
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     figure = plt.figure(figsize=(3.9, 3.4))
-    axes = figure.add_axes((0.0, 0.06, 0.96, 0.94), projection="3d")
+    axes: Any = figure.add_axes((0.0, 0.06, 0.96, 0.94), projection="3d")
     robot.plot([lower + share * (upper - lower) for share in (0.5, 0.85)], axes=axes)
     axes.get_legend().remove()
     if name == "hanging_arm":
