@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -34,19 +35,25 @@ HEAD = """# Gallery of robots
 Ten robots to start from. Copy the file that is nearest to yours, change its numbers, and ask `repro check`.
 The files lie in `data/robots/gallery`, and [Robot file](robot_file.md) explains every key.
 
-We took ranges and steps of the chips from their makers or drivers, which the files name. We have no measured
-noise of any of them, so each noise is a placeholder: hold your robot still and take the standard deviation of
-what you read. The errors are of synthetic readings. Magpylib computes the fields of the robot as it is drawn,
-we add the noise of the file and round to the step of the chip, and least squares tracks ten seconds of a
-smooth motion. A robot that is built is not as drawn, so calibrate yours first. Do not compare chips by this table,
-because the arms differ, and so do the noises that we assumed.
-
-The table has the ± of the tip from the last line of `repro check`: the *median* of random shapes, the bound for all
-but the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error (synthetic).
+The noise of every chip is a **placeholder**, because we have measured none: hold your robot still and take the
+standard deviation of what you read. Ranges and steps are those of makers or drivers, which the files name. Do not
+compare chips by this table, because the arms differ, and so do the noises that we assumed.
 
 {.as-cards}
-| robot | median [mm] | worst [mm] | blind [mm] | tracked [mm] |
-|---|---|---|---|---|
+| robot | chips | noise | median ± [mm] | worst ± [mm] | blind ± [mm] | tracked [mm] |
+|---|---|---|---|---|---|---|
+"""
+FOOT = """
+The ± of the tip are those of `repro check` after a calibration: the *median* of random shapes, the bound for all but
+the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error on synthetic readings.
+Magpylib computes the fields of the robot as it is drawn, we add the noise and round to the step of the chip, and
+least squares tracks ten seconds of a smooth motion. A robot that is built is not as drawn, so calibrate yours first.
+
+The pictures are in mm: blue in the middle of the bounds, orange moved. Magnets have a red north pole, and arrows show
+the axes of chips and IMUs.
+
+::::{grid} 1 1 2 2
+:gutter: 3
 """
 
 
@@ -70,19 +77,27 @@ def results(name: str) -> tuple[str, str]:
     """Return what a check says of a robot, and its row of the table [mm]."""
     robot = load_robot(FILES / f"{name}.toml")
     said, _, sizes = robot.check().verdict.partition(":")
+    chips, noise, of_reading = [], [], np.asarray(robot.noise)
+    if robot.sensors:
+        chips.append(f"{len(robot.sensors)} × 3 axes")
+        noise.append(f"{1e3 * of_reading[0]:.3g} µT")
+    if robot.imus:
+        chips.append(f"{len(robot.imus)} IMU{'s' if len(robot.imus) > 1 else ''}")
+        noise.append(f"{np.degrees(of_reading[-1]):.2g}°")
     numbers = [*re.findall(r"±([\d.]+) mm", sizes), f"{tip_error(robot):.2g}"]
-    return f"{said}.", " | ".join([f"| {TITLES[name]}", *numbers]) + " |\n"
+    cells = [f"[{TITLES[name]}](#robot-{name})", ", ".join(chips), ", ".join(noise), *numbers]
+    return f"{said}.", f"| {' | '.join(cells)} |\n"
 
 
-def section(name: str, said: str) -> str:
+def card(name: str, said: str) -> str:
     """Return the part of the page about one robot."""
     text = (FILES / f"{name}.toml").read_text(encoding="utf-8")
     return f"""
-## {TITLES[name]}
-
+:::{{grid-item-card}} {TITLES[name]}
+(robot-{name})=
 ```{{image}} gallery/{name}.png
 :alt: {TITLES[name]}, in the middle of its bounds and moved, in mm
-:width: 360px
+:width: 100%
 ```
 
 `repro check {name}.toml`: *{said}* {{download}}`Download the file <../data/robots/gallery/{name}.toml>`
@@ -91,7 +106,27 @@ def section(name: str, said: str) -> str:
 ~~~toml
 {text}~~~
 ```
+:::
 """
+
+
+def draw(name: str, path: Path) -> None:
+    """Write the picture of a robot in the middle of its bounds and moved."""
+    robot = load_robot(FILES / f"{name}.toml")
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    figure = plt.figure(figsize=(3.9, 3.4))
+    axes: Any = figure.add_axes((0.0, 0.06, 0.96, 0.94), projection="3d")
+    robot.plot([lower + share * (upper - lower) for share in (0.5, 0.85)], axes=axes)
+    axes.get_legend().remove()
+    if name == "hanging_arm":
+        axes.invert_zaxis()  # the base is above: half a turn about y
+        axes.invert_xaxis()
+    axes.set(xlabel="x", ylabel="y", zlabel="z")
+    axes.locator_params(nbins=4)
+    ends = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+    axes.set_box_aspect(abs(np.diff(ends)[:, 0]), zoom=0.86)  # room for the numbers
+    figure.savefig(path, dpi=150, metadata={"Software": None})
+    plt.close(figure)
 
 
 def main() -> None:
@@ -100,20 +135,11 @@ def main() -> None:
     pictures = ROOT / "book" / "gallery"
     pictures.mkdir(exist_ok=True)
     for name in TITLES:
-        robot = load_robot(FILES / f"{name}.toml")
-        lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
-        axes = robot.plot(
-            [lower + share * (upper - lower) for share in (0.5, 0.85)], labels=["middle", "moved"]
-        )
-        if name == "hanging_arm":
-            axes.invert_zaxis()  # the base is above: half a turn about y
-            axes.invert_xaxis()
-        axes.figure.savefig(pictures / f"{name}.png", dpi=70, metadata={"Software": None})
-        plt.close(axes.figure)
+        draw(name, pictures / f"{name}.png")
     found = {name: results(name) for name in TITLES}
-    page = HEAD + "".join(row for _, row in found.values())
-    page += "".join(section(name, said) for name, (said, _) in found.items())
-    (ROOT / "book" / "gallery.md").write_text(re.sub(r"\n{3,}", "\n\n", page), encoding="utf-8")
+    rows = "".join(row for _, row in found.values())
+    cards = "".join(card(name, said) for name, (said, _) in found.items())
+    (ROOT / "book" / "gallery.md").write_text(f"{HEAD}{rows}{FOOT}{cards}::::\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ A study is written whole or not at all, with its settings beside it. Without a n
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from itertools import product
@@ -556,6 +557,8 @@ def foreign_field(robot: repro.Robot, q: np.ndarray) -> np.ndarray:
     return np.concatenate([along[:, k, 3 - s.axes :] for k, s in enumerate(robot.sensors)], axis=1)
 
 
+LOOP_NOISE_MT = (0.02, 0.005, 0.002, 7.1e-4)
+"""Noises of the sensors in the loop; the last one is that of real sensors."""
 NOISE_MT = (1e-5, 4.8e-5, 2e-4, 7.1e-4, 2e-3, 5e-3, 2e-2, 1e-1)
 """Noise of a reading [mT]; 4.8e-5 and 7.1e-4 are inferred from what section 5.2 of Baaij et al. prints."""
 NETWORKS = {"network of the paper": "pcc", "fast network": "fast", "multipole": ""}
@@ -611,10 +614,12 @@ def drift_by_minute(seed: int) -> pd.DataFrame:
         "fused": {},
     }
     kalman, start = wandering.kalman_filter([]), wandering.START
+    own = wandering.kalman_filter(wandering.drifts())
     # To know the drift is to have sensors without it.
     undrifted = wandering.draw(seed, size=0.0)
     ways = {name: (kalman, run, options) for name, options in plain.items()} | {
-        "self-calibrating": (wandering.kalman_filter(wandering.drifts()), run, {}),
+        "magnets self-calibrating": (own, run, {"mask": hall}),
+        "self-calibrating": (own, run, {}),
         "oracle": (wandering.kalman_filter([wandering.SWAYING]), undrifted, {}),
     }
     found = {
@@ -627,7 +632,7 @@ def drift_by_minute(seed: int) -> pd.DataFrame:
 
 
 def drift() -> pd.DataFrame:
-    """Return errors of the tip by minute for 20 robots whose sensors drift, and five methods: three minutes.
+    """Return errors of the tip by minute for 20 robots whose sensors drift, and six methods: four minutes.
 
     A run that is finished stands in runs/drift and is not computed again.
     """
@@ -640,6 +645,24 @@ def drift() -> pd.DataFrame:
         parts.append(pd.read_csv(path))
     table = pd.concat(parts, ignore_index=True)
     table.attrs = {"twins": 20, "minutes": wandering.MINUTES, "methods": list(table["method"].unique())}
+    return table
+
+
+def closed_loop() -> pd.DataFrame:
+    """Return tracking errors [mm] of the page closed_loop at four noises of the sensors: two minutes."""
+    root, parts = project_folder(), []
+    for noise_mt in LOOP_NOISE_MT:
+        folder = root / "runs" / "closed_loop" / f"{noise_mt:g}"
+        folder.mkdir(parents=True, exist_ok=True)
+        page = [root / "notebooks" / "closed_loop.ipynb", folder / "page.ipynb", folder, root]
+        values = json.dumps({"loop_noise_mt": noise_mt})
+        subprocess.run([sys.executable, "-m", "repro_companion.run", *page, values], check=True)
+        means = pd.read_csv(folder / "closed_loop_means.csv").drop(
+            columns=["seeds", "offset_mm", "bounded_%"]
+        )
+        parts.append(means.assign(noise_mt=noise_mt))
+    table = pd.concat(parts, ignore_index=True)
+    table.attrs = {"noise_mt": list(LOOP_NOISE_MT), "seeds": list(range(10))}
     return table
 
 
@@ -662,6 +685,7 @@ STUDIES: dict[str, Callable[[], pd.DataFrame]] = {
         alarms,
         noise,
         drift,
+        closed_loop,
     )
 }
 

@@ -278,7 +278,7 @@ class FreeBody(Segment):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Which axes turn, as the bits of a number: all three."""
+        """Which axes turn, as the bits of a number (all three)."""
         return (7.0,)
 
 

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import repro
 from repro_companion.papers import baaij, loop
-from repro_companion.show import project_folder
+from repro_companion.show import project_folder, study
 
 METHOD = ["noise_mt: float", "def moved", "def closed_loop", "def dot", "def kalman"]
 
@@ -212,3 +212,14 @@ MEANS = pd.DataFrame(
 )
 def test_numbers_of_the_page_by_hand(found, expected):
     np.testing.assert_allclose(np.asarray(found(), dtype=float), expected, rtol=1e-9)
+
+
+def test_the_study_of_noise_continues_the_page():
+    keys = ["estimator", "controller", "session"]
+    committed = pd.read_csv(project_folder() / "results" / "closed_loop_means.csv").set_index(keys)
+    noises = study("closed_loop")
+    here = noises[noises["noise_mt"] == noises["noise_mt"].max()].set_index(keys)
+    np.testing.assert_allclose(here["tracking_mm"], committed["tracking_mm"], rtol=1e-3)
+    table = loop.noise_table(noises)
+    assert len(table) == 2 * noises["noise_mt"].nunique()
+    assert f"{table[loop.INFORMED].iloc[3]:.2f} mm off its reference" in loop.in_words(table)

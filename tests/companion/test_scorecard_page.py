@@ -312,7 +312,7 @@ def test_every_claim_has_a_line_with_a_page_and_its_command(written):
         assert (ROOT / f"{claim['page']}.ipynb").is_file()
         assert f"| `make page P={Path(claim['page']).name}` [" in line
         assert f"]({claim['page']}.ipynb) |" in line
-        assert re.search(r"\| [\d.]+\smin, [\d.]+\sMB \| ", line)
+        assert re.search(r"\| [\d.]+\ss, [\d.]+\sMB \| ", line)
 
 
 def test_what_evaluators_are_given_can_be_typed(written):

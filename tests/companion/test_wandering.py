@@ -122,6 +122,11 @@ def test_numbers_of_the_page_by_hand(found, expected):
 @pytest.mark.parametrize(("nees", "words"), [(1.2, "about right"), (3.0, "too small"), (0.2, "too large")])
 def test_the_page_says_whether_the_stated_uncertainty_is_right(nees, words):
     table = pd.DataFrame(
-        {"method": ["fused", "self-calibrating"], "median_percent": [2.0, 0.5], "nees": nees}
+        {
+            "method": ["fused", "self-calibrating", "magnets self-calibrating"],
+            "median_percent": [2.0, 0.5, 1.9],
+            "nees": nees,
+        }
     )
+    assert "magnets alone still have 1.9 %" in wandering.in_words(table)
     assert f"uncertainty is {words}" in wandering.in_words(table)

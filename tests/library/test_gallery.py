@@ -6,6 +6,7 @@ import importlib.util
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from repro import load_robot
@@ -17,7 +18,7 @@ assert SPEC.loader is not None
 gallery = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(gallery)
 PAGE = (ROOT / "book" / "gallery.md").read_text(encoding="utf-8")
-SECTIONS = dict(zip(gallery.TITLES, re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:], strict=True))
+SECTIONS = dict(zip(gallery.TITLES, PAGE.split(":::{grid-item-card} ")[1:], strict=True))
 
 
 def test_every_file_is_on_the_page():
@@ -36,8 +37,12 @@ def test_a_robot_can_work_and_its_numbers_are_those_of_the_page(name):
     assert (gallery.FILES / f"{name}.toml").read_text(encoding="utf-8") in section
     said, _, numbers = check.verdict.partition(":")
     assert f"`repro check {name}.toml`: *{said}.*" in section
-    (row,) = re.findall(rf"^\| {re.escape(gallery.TITLES[name])} \|(.*)\|$", PAGE, re.MULTILINE)
-    *sizes, error = map(float, row.split("|"))
+    (row,) = re.findall(rf"^\| \[[^|]*\]\(#robot-{name}\) \|(.*)\|$", PAGE, re.MULTILINE)
+    _, noise, *cells = row.split("|")
+    *sizes, error = map(float, cells)
+    assert robot.noise is not None
+    first = 1e-3 if robot.sensors else np.radians(1.0)  # µT in mT, or degrees
+    assert float(re.findall(r"[\d.]+", noise)[0]) * first == pytest.approx(robot.noise[0])
     assert sizes == pytest.approx([float(x) for x in re.findall(r"([\d.]+) mm", numbers)], rel=0.06)
     assert error == pytest.approx(gallery.tip_error(robot), rel=0.1)
     assert error < 1.5 * 1e3 * float(check.tip_within_bounds.mean())

@@ -109,7 +109,7 @@ FAULTS = {"fault": "fault", "intact": "intact", "accepted": "kept", "wrong": "wr
 FAULTS |= {"gaps": "missing"}
 
 FAULTS_IN_WORDS = """
-**What to see.** Of {{ "{:,}".format(intact) }} intact frames {{ lost or "none" }}
+Of {{ "{:,}".format(intact) }} intact frames {{ lost or "none" }}
 {{ "is" if lost in (0, 1) else "are" }} lost, and {{ wrong or "no" }} wrong
 {{ "reading is" if wrong == 1 else "readings are" }} kept. The parser drops what is damaged, and counts it.
 """
@@ -129,6 +129,33 @@ FAILURES = {
     "alarm": "alarm [%]",
     "named": "named [%]",
 }
+
+
+FAILURES_IN_WORDS = """
+**What to see.** If one of four chips fails, the error of the tip grows from {{ healthy | two }} to at most
+{{ four | two }} mm. If one of two chips fails, the rest does not determine the shape: the error grows to
+{{ two | two }} mm at most, and a stated ± of {{ stated | two }} mm or more says so. The monitor names a chip that
+goes on sending in {{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
+"""
+FAILURE_TERMS = """
+All numbers count from the failure on. *Error* is the distance of the estimated tip from the true one, and *stated ±*
+one standard deviation of the tip; both are medians. *Alarm* says how much of the time the monitor doubts the
+readings, and *named* how much of the time it names the right chip and no other.
+"""
+
+
+def failures_in_words(table: pd.DataFrame) -> str:
+    """Return how the error grows if one of four chips fails, or one of two, and how often the chip is named."""
+    whole = table["failure"] == "none"
+    four, two = (table[~whole & (table["sensors"] == chips)] for chips in (4, 2))
+    return sentences(
+        FAILURES_IN_WORDS,
+        healthy=table.loc[whole & (table["sensors"] == 4), "error"].item(),
+        four=four["error"].max(),
+        two=two["error"].max(),
+        stated=two["std"].min(),
+        named=table.loc[~whole & (table["failure"] != "no reading"), "named"],
+    )
 
 
 def failures(steps: pd.DataFrame, fails_at_s: float) -> pd.DataFrame:

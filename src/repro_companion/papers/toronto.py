@@ -537,25 +537,25 @@ def all_errors(
 def compared_in_words(errors: pd.Series) -> str:
     """Return our errors beside those of the released window when something touches the arm."""
     sizes = [
-        f"{errors[name, setting, 'smoother']:.0f} and {errors[name, setting, 'released window']:.0f} mm"
-        for setting, name in product(("raw", "calibrated"), SAME)
+        f"{errors[name, setting, estimator]:.0f} mm"
+        for setting, name, estimator in product(("raw", "calibrated"), SAME, ("smoother", "released window"))
     ]
     return sentences(COMPARED, sizes=sizes)
 
 
 COMPARED = """
-When the arm is hit, our smoother and the sliding window of the authors have errors of {{ sizes[0] }} on raw readings,
-and of {{ sizes[2] }} on calibrated readings. When it is shaken, their errors are {{ sizes[1] }} on raw readings, and
-{{ sizes[3] }} on calibrated readings.
+When the arm is hit, our smoother has an error of {{ sizes[0] }} on raw readings, against {{ sizes[1] }} of the
+authors' sliding window; on calibrated readings it has {{ sizes[4] }} against {{ sizes[5] }}. When the arm is shaken,
+our smoother has {{ sizes[2] }} against {{ sizes[3] }}, and {{ sizes[6] }} against {{ sizes[7] }}.
 """
 
 
 SURE = """
 **How sure can one be?** With calibrated trackers our smoother is off by {{ off }} mm along the arm in the trials that
-had no part in its settings, and by {{ slow }} mm in the slow trial, on which we chose them. Its ellipsoids and the
-filter's should cover {{ level }} % of the positions. As stated, they have semi-axes of {{ stated.axes }} mm and cover
-{{ stated.covered }}. Widened by {{ added }} mm, they have semi-axes of {{ widened.axes }} mm and cover
-{{ widened.covered }} in the other trials.
+had no part in its settings, and by {{ slow }} mm in the slow trial, on which we chose them. Ellipsoids should cover
+{{ level }} % of the positions. As stated, they cover {{ stated.covered }}, with semi-axes of {{ stated.axes }} mm. We
+widen them until they cover {{ level }} % in the slow trial. In the others they then cover {{ widened.covered }}, with
+semi-axes of {{ widened.axes }} mm.
 """
 
 
@@ -569,17 +569,16 @@ def sure_in_words(errors: pd.Series, bands: pd.DataFrame, kept: str, level: floa
         off=span(smoother.drop(CHOOSING)),
         slow=f"{smoother[CHOOSING]:.0f}",
         level=f"{100 * level:.0f}",
-        added=span(widened["added_mm"], 1),
         stated=region(own[own["ellipsoids"] == "as stated"]),
         widened=region(widened[widened["trial"] != CHOOSING]),
     )
 
 
 def region(bands: pd.DataFrame) -> dict[str, str]:
-    """Return from where to where semi-axes go, and how often their ellipsoids cover the truth, with the extremes."""
+    """Return from where to where semi-axes go, and how often their ellipsoids cover the truth."""
     covered = np.average(bands["covered_percent"], weights=bands["positions"])
     axes = " to ".join(number(x, 1) for x in (bands["shortest_mm"].min(), bands["longest_mm"].max()))
-    return {"axes": axes, "covered": f"{covered:.0f} % ({span(bands['covered_percent'])} %)"}
+    return {"axes": axes, "covered": f"{covered:.0f} %"}
 
 
 def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:

@@ -187,7 +187,8 @@ IN_SHORT = """
 **What to see.** If sensors drift and the filter does not know it, the error of the tip in the last third of 45
 minutes is {{ once | fixed(1) }} % of the length. With the drift in the state of the filter it is
 {{ own | fixed(1) }} %, and the stated uncertainty is
-{{ "about right" if 0.5 < nees < 1.5 else "too small" if nees > 1 else "too large" }}. **We chose the drift of the
+{{ "about right" if 0.5 < nees < 1.5 else "too small" if nees > 1 else "too large" }}. It takes both kinds of sensors:
+with the drift in the state, magnets alone still have {{ magnets | fixed(1) }} %. **We chose the drift of the
 offsets so that a filter that is calibrated once ends at 2 to 4 %; with smaller drift the gain is smaller. And we told
 the filter the true size of each drift.**
 """
@@ -197,7 +198,9 @@ def in_words(table: pd.DataFrame) -> str:
     """Return what it gains to have the drift in the state."""
     error, nees = (table.set_index("method")[column] for column in ("median_percent", "nees"))
     own = "self-calibrating"
-    return sentences(IN_SHORT, once=error["fused"], own=error[own], nees=nees[own])
+    return sentences(
+        IN_SHORT, once=error["fused"], own=error[own], nees=nees[own], magnets=error[f"magnets {own}"]
+    )
 
 
 COLUMNS = """

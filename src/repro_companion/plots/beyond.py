@@ -341,6 +341,7 @@ SPAN: Look = {"color": "#505050", "alpha": 0.16, "lw": 0}
 DRIFT_LOOKS: Mapping[str, tuple[str, LineStyleType, str]] = {
     "IMU only": (ORANGE, "-", "IMUs only"),
     "magnets only": (SKY, "-", "magnets only"),
+    "magnets self-calibrating": (SKY, ":", "magnets, drift in state"),
     "fused": (PINK, (0, (3, 2)), "calibrated once"),
     "self-calibrating": (GREEN, "-", "drift in the state"),
     "oracle": ("#767676", "--", "knows the drift"),
@@ -364,7 +365,7 @@ def drift_errors(minutes: pd.DataFrame, last: int) -> Figure:
         ylabel="error of the tip\n[% of the length]", yscale="log", yticks=[0.2, 0.5, 1, 2, 5],
     )  # fmt: skip
     plain_numbers(panel.yaxis)
-    return with_legend(figure, panel, columns=3)
+    return with_legend(figure, panel, columns=2)
 
 
 @style()
