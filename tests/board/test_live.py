@@ -301,6 +301,10 @@ CASES = {
         "What arrives does not fit this robot.",
     ),
     "an alarm": (lambda: session_of(sent(faulty(U[:400], "unplugged", 2, since=200))), LEFT),
+    "an alarm that leaves no reading to spare": (
+        lambda: session_of(sent(faulty(faulty(U[:900], "missing", 0, since=0), "stuck", 2, since=100))),
+        LEFT,
+    ),
     "no chip": (
         lambda: session_of(sent(faulty(U[:60], "missing", 4, since=9))),
         "There is no reading of sensor 5",
