@@ -116,7 +116,9 @@ def test_the_unpacked_archive_is_what_was_sealed_and_a_changed_table_is_named(bu
     (tables / "table_1.rows.csv").unlink()
     for name in ("new.csv", "noise_study.csv"):
         (tables / name).write_text("a\n1\n")
-    found = " ".join(compare_with_head(tables.parent).found)
+    compared = compare_with_head(tables.parent)
+    assert compared.summary().endswith("repro compare SECOND/results results")
+    found = " ".join(compared.found)
     assert found.replace(f" is not the table of {CRATE}", "").replace("results/", "").split() == [
         "new.csv",
         "noise_study.csv",

@@ -105,6 +105,8 @@ def check(
 
     positive = target_mm is None or 0 < target_mm < math.inf
     require(positive, "target_mm", "repro check", "positive", target_mm)
+    aimed = improve or target_mm is not None or not before_calibration
+    require(aimed, "before_calibration", "repro check", "left out without --target-mm or --improve", True)
     for name, given in (("output", output), ("picture", picture)):
         require(improve or given is None, name, "repro check", "left out without --improve", given)
         if given is not None:  # a search takes its time

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from repro import Cube, Magnet, Robot, load_robot, simulated_readings
 from repro.common import Array, bad_input, numbers, require, whole
 from repro.tolerances import Tolerances, placed, priors_of
-from repro_board.record import Recording, read_recording
+from repro_board.record import Recording, read_recording, stopping
 from repro_board.wire import FORMATS, encode, text_line
 
 SPEED = 0.5
@@ -593,10 +593,10 @@ def emulate(
     )  # fmt: skip
     first = next(sent)  # what cannot be sent is refused before there is a port
     board = Emulator(chain([first], sent), link, speed=speed)
-    with contextlib.suppress(KeyboardInterrupt), board:
+    with stopping(board.ended), board:
         if robot and hold_poses and poses is not None:
             write_poses(hold_poses, robot, poses, hold_s)
         print(f"{Path(source).name}{', SYNTHETIC' if robot else ''}\nPort: {board.address}", flush=True)
-        while not board.ended.is_set():  # in short sleeps: an interruption in a wait may leave its lock
+        while not board.ended.is_set():  # in short sleeps: a signal must not find a wait with its lock
             time.sleep(_POLL_S)
     return 0

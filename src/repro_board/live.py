@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 import time
 from collections import deque
@@ -24,7 +23,7 @@ from repro.estimators.calibration import load_calibration
 from repro.estimators.track import trajectory
 from repro.robot_file import load_robot
 from repro_board.keys import Keys, keyboard
-from repro_board.record import Writer
+from repro_board.record import Writer, stopping
 from repro_board.report import Report
 from repro_board.session import (
     BOOT_TEXT,
@@ -68,19 +67,6 @@ class Summary(NamedTuple):
         rate += f" ({self.samples / self.seconds:.1f}/s)" if self.seconds >= 1 else ""
         numbers = [f"{self.seconds:.0f} s: {self.received} bytes", rate, *others]
         return "\n".join([", ".join(numbers), *self.remarks])
-
-
-@contextmanager
-def stopping(stop: threading.Event) -> Iterator[None]:
-    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
-    main = threading.current_thread() is threading.main_thread()
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def record(

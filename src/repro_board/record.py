@@ -30,6 +30,7 @@ import json
 import math
 import os
 import re
+import signal
 import struct
 import threading
 import time
@@ -59,6 +60,19 @@ _WRAP_S = 2**32 / 1e6
 
 
 Json = dict[str, Any]
+
+
+@contextlib.contextmanager
+def stopping(stop: threading.Event) -> Iterator[None]:
+    """Let Ctrl-C and signals to end set an event, so that nothing is interrupted in its middle."""
+    main = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if main else ()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Writer:

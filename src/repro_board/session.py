@@ -504,11 +504,13 @@ def _of_the_estimate(session: Session) -> list[str]:
         UNDETERMINED: "Do not trust the shape: there are fewer readings than unknowns.",
         BEYOND_BOUNDS: "The readings fit only beyond the bounds of the robot file. The shape stays within them.",
     }
+    # Where the rest just suffices for a shape, nothing can check it, but the part that is left out is known.
+    status = LEFT_OUT if session.status == UNCHECKED and named else session.status
     touched = np.flatnonzero(found.details.get("at_bound", ()))
     near = np.flatnonzero(found.details.get("too_near", ()))
     there = np.bincount(robot.parts, np.isfinite(u), len(names)) > 0
     return [
-        *([words[session.status]] if session.status in words else []),
+        *([words[status]] if status in words else []),
         *(f"{robot.coordinates[c]} is at a bound of the robot file." for c in touched),
         *(
             f"{names[k]} is so close to a magnet that its field is not known: it is left out."

@@ -175,7 +175,7 @@ def compare(old: Path | None = None, new: Path | None = None, /) -> int:
         print(f"repro compare: {error}", file=sys.stderr)
         return 2
     print(*result.found, sep="\n", file=sys.stderr, end="\n" if result.found else "")
-    print(f"Tables: {result.summary()}.")
+    print(f"Tables: {result.summary()}")
     return 1 if result.found else 0
 
 

@@ -28,6 +28,11 @@ REFERENCE = "# reference processor: "
 CRATE = "ro-crate-metadata.json"
 """What an archive of the project has in place of git: the hash of every table, and what wrote it."""
 
+_UNPACK_AGAIN = (
+    " On another kind of processor, unpack the archive a second time and name both folders, so that the tolerances "
+    "count: repro compare SECOND/results results"
+)
+
 
 @dataclass
 class Comparison:
@@ -39,13 +44,16 @@ class Comparison:
     """Number of tables whose cells differ, none by more than it may."""
     found: list[str] = field(default_factory=list)
     """One line for each table or column that differs by more than it may."""
+    advice: str = ""
+    """What to do about it."""
 
     def summary(self) -> str:
         """Return the counts in one line."""
         counts = [f"{self.same} the same byte for byte"]
         counts += [f"{self.close} within the tolerances of data/tolerances.csv"] if self.close else []
-        counts += [f"{len(self.found)} differences"] if self.found else []
-        return ", ".join(counts)
+        n = len(self.found)
+        counts += [f"{n} difference{'s' if n > 1 else ''}"] if n else []
+        return ", ".join(counts) + "." + self.advice
 
 
 def compare_folders(old: Path, new: Path, root: Path, *, exact: bool = False) -> Comparison:
@@ -174,6 +182,7 @@ def compare_with_crate(root: Path) -> Comparison:
             result.same += 1
         else:
             result.found.append(f"{name} is not the table of {CRATE}")
+            result.advice = _UNPACK_AGAIN
     return result
 
 

@@ -187,6 +187,7 @@ def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
         ("emulate none.toml", "none.toml"),
         ("emulate robot.toml --fault gravity 1", "must be one of"),
         ("export robot.toml -o x.csv", "robot.toml"),
+        ("check robot.toml --before-calibration", "must be left out without --target-mm or --improve"),
         ("live nowhere --robot robot.toml --browser-socket 7", "must be left out without --browser"),
         ("live nowhere --robot robot.toml --grown 1e300", "must be positive and at most 1e6"),
         ("live nowhere --robot robot.toml -o x --estimates x", "must be another file than the recording"),

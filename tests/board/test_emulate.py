@@ -533,7 +533,9 @@ def test_a_reader_that_leaves_loses_what_is_sent_and_another_one_may_come():
     assert len(a) <= left <= away - 40 <= b[0] - 40
 
 
-def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
+@pytest.mark.parametrize("ends", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path, ends):
+    """By Ctrl-C, by another program, and by a terminal that is closed: no port file stays that leads elsewhere."""
     code = (
         "from repro_board.emulate import emulate; import sys\n"
         "sys.exit(emulate(sys.argv[1], 'board', hold_poses='held.csv', hold_s=1.0))"
@@ -545,7 +547,7 @@ def test_the_command_plays_a_robot_until_it_is_interrupted(tmp_path):
             address = process.stdout.readline().removeprefix("Port: ").strip()
             assert address == str(tmp_path / "board")
             found, _ = read_until(address, at_least(60))
-            process.send_signal(signal.SIGINT)
+            process.send_signal(ends)
             assert process.wait(LONGEST_S) == 0
         finally:
             process.kill()

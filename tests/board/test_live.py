@@ -62,6 +62,17 @@ N = 1500
 TIMES = np.arange(N) / RATE_HZ
 Q = course(ROBOT, TIMES)
 U = ROBOT.sensing()(Q) + 0.005 * np.random.default_rng(0).normal(size=(N, 8))
+BARE = Robot(
+    [ConstantCurvature(0.065, 0.009)],
+    [Magnet(Ring(9e-3, 4e-3, 5e-3, 1250.0), 1, 0.038)],
+    [Sensor(1, 0.063, radial=0.007, azimuth=k * np.pi / 2) for k in range(4)],
+    lower=[-0.009, -0.009, 0.0],
+    upper=[0.009, 0.009, 0.006],
+    noise=0.005,
+    rate_hz=RATE_HZ,
+)
+"""Four readings for three unknowns: without one of them nothing can be checked."""
+BARE_U = BARE.sensing()(course(BARE, TIMES)) + 0.005 * np.random.default_rng(0).normal(size=(N, 4))
 LEFT = "What sensor 3 reads does not fit the other readings and is left out (--failed 3)."
 
 
@@ -302,6 +313,10 @@ CASES = {
         "What arrives does not fit this robot.",
     ),
     "an alarm": (lambda: session_of(sent(faulty(U[:400], "unplugged", 2, since=200))), LEFT),
+    "an alarm that leaves no reading to spare": (
+        lambda: session_of(sent(faulty(BARE_U, "stuck", 2, since=100)), robot=BARE),
+        LEFT,
+    ),
     "no chip": (
         lambda: session_of(sent(faulty(U[:60], "missing", 4, since=9))),
         "There is no reading of sensor 5",
