@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import Legendre
@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 from repro.chain import Place, check_tolerance, place
 from repro.common import Array, ArrayLike, numbers, require, scalar
 from repro.parts import Assembly, check_free
+
+_nodes = cache(leggauss)  # a calibration asks for them thousands of times
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Ring:
         array([   58725., -1453444.,  7729678.])
         """
         orders = _orders(l_max)
-        nodes, weights = leggauss(l_max + 2)
+        nodes, weights = _nodes(l_max + 2)
         a, b = self.inner_diameter / 2, self.outer_diameter / 2
         rho = (b + a) / 2 + (b - a) / 2 * nodes
         terms = _solid(orders, np.hypot(rho, self.height / 2), self.height / 2)
@@ -192,7 +194,7 @@ class Cube:
         times in a turn, which no axial moment describes.
         """
         orders = _orders(l_max)
-        nodes, weights = leggauss(l_max + 2)
+        nodes, weights = _nodes(l_max + 2)
         x, y = np.meshgrid(nodes * self.edge / 2, nodes * self.edge / 2)
         terms = _solid(orders, np.sqrt(x**2 + y**2 + self.edge**2 / 4), self.edge / 2)
         area = self.edge**2 / 4 * np.outer(weights, weights)

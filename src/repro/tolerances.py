@@ -264,6 +264,12 @@ def slopes_of(described: Assembly, moved: Sensing, parameters: Mapping[str, floa
         one = np.where(names == name, before, 0.0)
         columns[name] = Sensing(robot, moments=one)(q)[:, : len(gain)]
     columns = {name: slope * gain for name, slope in columns.items()}
+    offsets = [
+        f"sensor {j} {x}" for j, part in enumerate(robot.sensors, 1) for x in _per_axis("offset", part.axes)
+    ]
+    columns |= {
+        name: np.broadcast_to(one, u.shape) for name, one in zip(offsets, np.eye(len(gain)), strict=True)
+    }
     for name in parameters.keys() - columns.keys():
         up, down = (
             sensing_of(placed(described, {**parameters, name: parameters[name] + h}))(q)[:, : len(gain)]
