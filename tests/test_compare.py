@@ -45,16 +45,16 @@ def found(root: Path, text: str, name: str = "table_2.csv", **options: bool) -> 
         (
             "4.0",
             "4.00001",
-            ["error_mm differs in 1 rows, most where the row is 'T4 steady four': by 2.5e-06"],
+            ["error_mm differs in 1 row, most where the row is 'T4 steady four': by 2.5e-06"],
         ),
         ("chaotic,1.0", "chaotic,7.0", []),  # by 6 of 7
         ("4.0", "", ["by inf of the column's largest"]),
         ("one", "two", []),
-        ("four", "five", ["note differs in 1 rows"]),
-        ("T4", "T5", ["table_2.csv has 1 rows that only one of the two has"]),
+        ("four", "five", ["note differs in 1 row"]),
+        ("T4", "T5", ["table_2.csv has 1 row that only one of the two has"]),
         ("error_mm", "error_m", ["only one of the two has error_m, error_mm"]),
-        ("T0,chaotic,1.0,one\n", "", ["table_2.csv has 1 rows that only one of the two has"]),
-        ("four\n", "four\nT5,steady,1.0,five\n", ["table_2.csv has 1 rows that only one of the two has"]),
+        ("T0,chaotic,1.0,one\n", "", ["table_2.csv has 1 row that only one of the two has"]),
+        ("four\n", "four\nT5,steady,1.0,five\n", ["table_2.csv has 1 row that only one of the two has"]),
     ],
 )
 def test_cells_may_move_as_far_as_their_tolerance(root, before, after, said):

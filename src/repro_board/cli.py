@@ -197,8 +197,8 @@ def calibrate(
     robot: Path,
     output: NewFile,
     by_motion: Annotated[bool, Parameter(name="--self", negative="")] = False,
-    pose_noise_mm: float = 0.2,
-    pose_noise_deg: float = 0.5,
+    pose_noise_mm: float | None = None,
+    pose_noise_deg: float | None = None,
     rate: float | None = None,
 ) -> int:
     """Calibrate a robot: repro calibrate READINGS POSES.csv --robot ROBOT.toml -o CALIBRATION.json.
@@ -217,21 +217,22 @@ def calibrate(
     by_motion
         Without measured poses: find moments, gains and offsets while the robot bends every way.
     pose_noise_mm
-        How well the poses are known: standard deviation of their lengths.
+        How well the poses are known: standard deviation of their lengths; 0.2 if not given.
     pose_noise_deg
-        The same of their angles.
+        The same of their angles; 0.5 if not given.
     rate
         Readings per second, where their table has no times.
     """
     from repro_board.evaluate import calibrate_by_motion, calibrate_files
 
+    noise = {"pose_noise_mm": pose_noise_mm, "pose_noise_deg": pose_noise_deg}
     if by_motion:
-        require(poses is None, "poses", "repro calibrate", "left out with --self", poses)
+        for name, given in {"poses": poses, **noise}.items():
+            require(given is None, name, "repro calibrate", "left out with --self", given)
         done = calibrate_by_motion(readings, robot, output, rate_hz=rate)
     else:
-        done = calibrate_files(
-            readings, poses, robot, output, pose_noise_mm=pose_noise_mm, pose_noise_deg=pose_noise_deg, rate_hz=rate,
-        )  # fmt: skip
+        stated = {name: value for name, value in noise.items() if value is not None}
+        done = calibrate_files(readings, poses, robot, output, rate_hz=rate, **stated)
     return tell(done)
 
 

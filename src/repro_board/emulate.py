@@ -584,6 +584,8 @@ def emulate(
     require(hold_s is None or hold_poses, "hold", "emulate", "left out without hold_poses", hold_s)
     robot = load_robot(source) if Path(source).suffix == ".toml" else None
     require(robot or not hold_poses, "hold_poses", "emulate", "left out for a recording", hold_poses)
+    require(not (robot and loop), "loop", "emulate", "left out for a robot, which moves for ever", loop)
+    require(faults or not fault_from, "fault_from", "emulate", "left out without a fault", fault_from)
     hold_s = 2.0 if hold_s is None else hold_s
     require(0 < hold_s < math.inf, "hold", "emulate", "above zero [s]", hold_s)
     poses = spread_poses(robot, seed=seed) if robot and hold_poses else None

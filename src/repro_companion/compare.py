@@ -111,16 +111,16 @@ def compare_tables(old: Path, new: Path, tolerances: pd.DataFrame) -> list[str]:
     common = first.index.intersection(second.index, sort=False)
     lost = max(len(first), len(second)) - len(common)
     if lost:
-        return [f"{old.name} has {lost} rows that only one of the two has"]
+        return [f"{old.name} has {lost} row{'s' * (lost > 1)} that only one of the two has"]
     first, second = first.loc[common], second.loc[common]
     rows, found = row_texts(first), []
     for column in first:
         most = allowed(rows, old.stem, str(column), tolerances)
         moved = _moved(first[column], second[column])
-        if (moved > most).any():
+        if n := int((moved > most).sum()):
             worst = int(np.argmax(moved - most))
             found.append(
-                f"{old.name}: {column} differs in {(moved > most).sum()} rows, most where the row is"
+                f"{old.name}: {column} differs in {n} row{'s' * (n > 1)}, most where the row is"
                 f" '{rows[worst]}': by {moved[worst]:.1e} of the column's largest; {most[worst]:.0e} is allowed"
             )
     return found

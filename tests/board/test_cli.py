@@ -182,6 +182,10 @@ def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
         ("show motion.rec --robot robot.toml -o robot.toml", "must be one that does not exist yet"),
         ("show motion.rec --robot robot.toml", "parameter -o requires an argument"),
         ("calibrate held.rec --robot robot.toml -o c.json", "must be given"),
+        (
+            "calibrate u.csv --self --pose-noise-deg 1 --robot robot.toml -o c.json",
+            "must be left out with --self",
+        ),
         ("record -o x.rec", "must be given (repro record --list shows them)"),
         ("record nowhere -o x.rec", "nowhere"),
         ("emulate none.toml", "none.toml"),

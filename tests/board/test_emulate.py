@@ -609,9 +609,18 @@ def test_a_board_that_cannot_be_is_refused_at_once(options, message):
         board_bytes(EXACT, **options)
 
 
-def test_a_pose_is_held_for_some_time(tmp_path):
-    with pytest.raises(InputError, match="Input hold of emulate must be above zero"):
-        emulate(example() / "robot.toml", hold_poses=tmp_path / "held.csv", hold_s=0.0)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"hold_poses": "held.csv", "hold_s": 0.0}, "Input hold of emulate must be above zero"),
+        ({"hold_s": 1.0}, "Input hold of emulate must be left out without hold_poses"),
+        ({"loop": True}, "Input loop of emulate must be left out for a robot, which moves for ever"),
+        ({"fault_from": 1.0}, "Input fault_from of emulate must be left out without a fault"),
+    ],
+)
+def test_what_would_mean_nothing_is_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        emulate(example() / "robot.toml", **options)
 
 
 def test_lines_of_one_stream_carry_no_imu_of_its_own():
