@@ -83,7 +83,7 @@ class Trajectory:
         free, chi2 = np.sum(self.dof, where=fits), np.sum(self.chi2, where=fits)
         fit = f"{chi2 / free:.3g}" if free and np.isfinite(chi2) else "not stated"
         counts = {} if self.status is None else Counter(self.status.ravel().tolist())
-        rows = "".join(f"; {n} row{'s' * (n > 1)} {name}" for name, n in counts.items())
+        rows = "".join(f"; {n} row{'s' * int(n > 1)} {name}" for name, n in counts.items())
         if self.suspects is not None and self.suspects.any():
             n_suspect = self.suspects.reshape(-1, self.suspects.shape[-1]).sum(0)
             rows += f"; suspects: {_counted(self._parts(), n_suspect)}"
@@ -192,7 +192,9 @@ class Trajectory:
 
 
 def _counted(names: Iterable[str], counts: Iterable[int]) -> str:
-    return ", ".join(f"{name} in {k} row{'s' * (k > 1)}" for name, k in zip(names, counts, strict=True) if k)
+    return ", ".join(
+        f"{name} in {k} row{'s' * int(k > 1)}" for name, k in zip(names, counts, strict=True) if k
+    )
 
 
 def _carried(C: Array, G: Array) -> Array:
