@@ -386,15 +386,47 @@ class TestCalibrationFile:
             load_robot(ROBOTS / "one_segment.toml", changed)
         with pytest.raises(InputError, match="calibration of load_calibration must be a file that exists"):
             load_robot(ROBOTS / "one_segment.toml", tmp_path / "none.json")
-        content = json.loads(path.read_text(encoding="utf-8")) | {"schema": 2}
-        changed.write_text(json.dumps(content | {"sha256": _own_hash(content)}), encoding="utf-8")
-        with pytest.raises(InputError, match="the hash of a file as it was written, of schema 3"):
-            load_robot(ROBOTS / "one_segment.toml", changed)
         changed.write_text("[", encoding="utf-8")
         with pytest.raises(InputError, match="file of changed.json must be JSON"):
             load_robot(ROBOTS / "one_segment.toml", changed)
         with pytest.raises(InputError, match="must be of a robot that load_robot has read"):
             replace(written[1], described=written[1].described.replaced(source=None)).save(changed)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"estimate": np.full(22, -2.0)}, "estimate of changed.json must be within 10 of its tolerances"),
+            ({"estimate": np.zeros(3)}, "estimate of changed.json must be numbers of shape (22)"),
+            (
+                {"tolerances": ["none"] * 22},
+                "tolerances of changed.json must be numbers; instead received list",
+            ),
+            ({"covariance": np.diag([np.inf] + [1.0] * 21)}, "covariance of changed.json must be finite"),
+            (
+                {"covariance": np.diag([1e308] + [1.0] * 21)},
+                "covariance of changed.json must be that of random",
+            ),
+            (
+                {"covariance": np.diag([-1.0] + [1.0] * 21)},
+                "covariance of changed.json must be that of random",
+            ),
+            ({"covariance": 1 - 2 * np.eye(22)}, "covariance of changed.json must be that of random"),
+            (
+                {"schema": 2},
+                "sha256 of changed.json must be the hash of a file as it was written, of schema 3",
+            ),
+        ],
+    )
+    def test_values_that_cannot_be(self, written, tmp_path, changes, message):
+        """Even with the hash of what they hold."""
+        content = json.loads(written[0].read_text(encoding="utf-8"))
+        assert len(content["names"]) == 22
+        content |= {name: np.asarray(value).tolist() for name, value in changes.items()}
+        content["sha256"] = _own_hash(content)
+        path = tmp_path / "changed.json"
+        path.write_text(json.dumps(content), encoding="utf-8")
+        with pytest.raises(InputError, match=re.escape(message)):
+            load_robot(ROBOTS / "one_segment.toml", path)
 
 
 def test_what_newcomers_mistake_is_answered_where_it_stands(tmp_path):

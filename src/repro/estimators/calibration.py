@@ -534,7 +534,7 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     Raises
     ------
     InputError
-        If the file is no calibration, was changed, or belongs to another robot.
+        If the file is no calibration, was changed, belongs to another robot, or holds values that cannot be.
     """
     given = isinstance(path, str | PathLike)
     require(given, "calibration", "load_calibration", "a path", type(path).__name__)
@@ -552,9 +552,18 @@ def load_calibration(path: str | Path, robot: Described) -> Calibration[Describe
     same = source is not None and content["robot_sha256"] == source.sha256
     expected = f"made with {source.name if source else 'a robot file'} as it is now"
     require(same, "robot_sha256", owner, expected, f"one made with {content['robot']!r}")
-    names, none = content["names"], np.zeros([robot.n_magnetic] * 2)
-    estimate, tolerances, C = (np.array(content[name]) for name in ("estimate", "tolerances", "covariance"))
-    M = np.array(content.get("model_error", none))  # new in 1.1
+    names, n = content["names"], len(content["names"])
+    estimate, tolerances = (numbers(content[name], name, owner, (n,)) for name in ("estimate", "tolerances"))
+    C = numbers(content["covariance"], "covariance", owner, (n, n))
+    known = (np.abs(estimate) <= _FARTHEST * tolerances).all()
+    require(known, "estimate", owner, f"within {_FARTHEST:g} of its tolerances", "more")
+    good = (np.abs(C) <= 1.0 + 1e-6).all() and np.allclose(C, C.T) and np.linalg.eigvalsh(C).min() > -1e-9 * n
+    require(good, "covariance", owner, "that of random numbers, in units of the tolerances", "another matrix")
+    s = robot.n_magnetic
+    M = numbers(content.get("model_error", np.zeros((s, s))), "model_error", owner, (s, s))  # new in 1.1
+    least = -1e-9 * np.abs(M).max(initial=0.0)
+    good = np.allclose(M, M.T) and np.linalg.eigvalsh(M).min(initial=0.0) >= least
+    require(good, "model_error", owner, "a covariance of readings", "another matrix")
     rest = {name: content[name] for name in ("chi2", "poses", "before", "after")}
     moved = placed(robot, dict(zip(names, estimate.tolist(), strict=True)))
     deviation = np.sqrt(np.diag(C)) * tolerances
