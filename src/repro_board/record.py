@@ -97,7 +97,7 @@ class Writer:
         self._closing, self._turn = threading.Event(), threading.Lock()
         # Killed before its first block it leaves no file of that name, rather than an empty one.
         with whole(self.path, "the recording") as part:
-            self._file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
+            self._file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             self._append(b"A", self.now_ns(), json.dumps(about).encode())
         self._thread = threading.Thread(target=self._keep_in_sync, daemon=True)
         self._thread.start()
