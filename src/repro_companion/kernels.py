@@ -27,13 +27,12 @@ from repro_companion.papers import baaij, mitchell
 
 
 def of_robots() -> None:
-    """Compile what arcs of constant curvature and multipoles need: descent, least squares and the Kalman filter."""
-    _follow(Sensing(baaij.robot(1)), "descent", "least squares", "Kalman")
+    """Compile what robots need: arcs of constant curvature with multipoles, networks, and segments of other kinds.
 
-
-def of_models() -> None:
-    """Compile what pages use of networks, and of robots with segments of other kinds."""
+    One process compiles all three, because they have most functions in common.
+    """
     robot = baaij.robot(1)
+    _follow(Sensing(robot), "descent", "least squares", "Kalman")
     layer = np.full((1, 1 + 4 * len(robot.magnets)), 0.1, np.float32), np.zeros(1, np.float32)
     _follow(Sensing(robot, Network([layer], "relu", "angles")), "descent", "least squares")
     _follow(Sensing(robot.replaced(segments=[*robot.segments, Link(0.01)])), "least squares")
@@ -64,7 +63,7 @@ def of_filters() -> None:
         state, _ = rod.step(state, np.zeros(9), t)
 
 
-PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "models": of_models, "filters": of_filters}
+PARTS: dict[str, Callable[[], None]] = {"robots": of_robots, "filters": of_filters}
 
 
 def note_of(name: str) -> Path:
