@@ -1126,8 +1126,8 @@ body's *y* axis, because the body moves to where *y* tilts. We also calibrate on
 released code takes the tilt of *z*, against which the filter is
 {{ "better" if z[1] | float < z[0] | float else "worse" }}.
 {% if alike %}
-In {{ alike }} of the takes the choice hardly matters to the filter. There the errors are {{ there[0] }}° and
-{{ there[1] }}°.
+In {{ alike }} of the takes the choice hardly matters to the filter. There the ratios have an error of {{ there[0] }}°
+and the filter {{ there[1] }}°.
 {% endif %}
 *All numbers* has all {{ methods }} methods. With an arc of 15 mm the filter comes to {{ longer }}°, for a reason that
 we give below.
