@@ -50,7 +50,7 @@ def figures_in_full(text: str) -> str:
 
 
 def with_headings(text: str) -> str:
-    """Give each cell of a table ``as-cards`` the heading of its column: narrow screens show no row of headings."""
+    """Give each cell of a table ``as-cards`` its heading and mark dashes: narrow screens show neither."""
     return re.sub(
         r'<table class="[^"]*\bas-cards\b.*?</table>', lambda found: _headed(found[0]), text, flags=re.S
     )
@@ -63,7 +63,8 @@ def _headed(table: str) -> str:
     ]
     head, rows, rest = re.split(r"(<tbody>.*</tbody>)", table, flags=re.S)
     cells = iter(headings * rows.count("<tr"))
-    return head + re.sub(r"<td\b(?! data-)", lambda _: f'<td data-heading="{next(cells)}"', rows) + rest
+    rows = re.sub(r"<td\b(?! data-)", lambda _: f'<td data-heading="{next(cells)}"', rows)
+    return head + re.sub(r"(<td [^>]*)(?<! data-missing)(?=><p>—</p></td>)", r"\1 data-missing", rows) + rest
 
 
 def whole_options(text: str) -> str:

@@ -38,7 +38,7 @@ def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
         ]
         if len(chosen) != 1:
             raise ValueError(f"{CLAIMS} names {match[0]}, which is {len(chosen)} rows of the scorecard.")
-        return number(pd.to_numeric(chosen["regenerated"]).iloc[0], 2)
+        return number(float(f"{pd.to_numeric(chosen['regenerated']).iloc[0]:.2g}"), 2)
 
     return NUMBER.sub(value, text)
 

@@ -80,11 +80,8 @@ def test_drawn_and_at_rest(figure, name, width):
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if name != "failure"])
 def test_a_handle_is_moved_by_pointer_and_by_keys(figure, name):
-    """Each way changes the picture and the address; the address alone brings the same picture again.
-
-    An estimate that goes on from the one before also depends on the way, so that magnets start straight here.
-    """
-    page = figure(name, "#magnets=start:straight" if name == "magnets" else "")
+    """Each way changes the picture and the address; the address alone brings the same picture and words again."""
+    page = figure(name)
     stage, handle = page.locator(".live-stage"), page.locator(".live-handle")
     before = pixels(stage)
     handle.focus()
@@ -104,8 +101,10 @@ def test_a_handle_is_moved_by_pointer_and_by_keys(figure, name):
     after = handle.bounding_box()
     assert abs(after["x"] - (box["x"] - 30)) < 12, "the handle follows the pointer"
     wait_until(page, IN_THE_ADDRESS)
+    words = page.locator(".live-text").inner_text()
     again = figure(name, page.evaluate("location.hash"))
     assert differing(by_pointer, pixels(again.locator(".live-stage"))) < 30
+    assert again.locator(".live-text").inner_text() == words
 
 
 def test_least_squares_against_descent(figure):

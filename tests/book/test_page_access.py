@@ -68,12 +68,20 @@ def test_scripts_come_where_they_are_used(extension, body, expected):
 
 
 def test_cells_of_cards_have_their_headings(extension):
-    """Also in the second row; an empty heading stays one, other tables stay, and twice changes nothing."""
-    row = "<tr><td><p>a</p></td><td></td></tr>"
+    """Also in the second row; an empty heading stays one, other tables stay, and twice changes nothing.
+
+    A cell that is a dash is marked, one that has a dash is not.
+    """
+    row = "<tr><td><p>a —</p></td><td><p>—</p></td></tr>"
     head = '<thead><tr><th class="head"><p>in "words"</p></th><th></th></tr></thead>'
     page = f'<table class="as-cards table">{head}<tbody>{row}{row}</tbody></table><table class="table">{row}</table>'
     headed = extension("page_access").with_headings(page)
-    assert headed.count('<td data-heading="in &quot;words&quot;"><p>a</p></td><td data-heading=""></td>') == 2
+    assert (
+        headed.count(
+            '<td data-heading="in &quot;words&quot;"><p>a —</p></td><td data-heading="" data-missing>'
+        )
+        == 2
+    )
     assert headed.endswith(f'<table class="table">{row}</table>')
     assert extension("page_access").with_headings(headed) == headed
 

@@ -10,19 +10,19 @@ from repro_companion import claims
 ROOT = Path(__file__).resolve().parents[2]
 CARD = pd.DataFrame(
     {
-        "artefact": ["A", "A"],
-        "row": ["r"] * 2,
-        "quantity": ["q", "p"],
-        "unit": ["%"] * 2,
-        "regenerated": ["0.0251", "12"],
+        "artefact": ["A"] * 3,
+        "row": ["r"] * 3,
+        "quantity": ["q", "p", "s"],
+        "unit": ["%"] * 3,
+        "regenerated": ["0.0251", "12", "4323.2"],
     }
 )
 
 
 def test_a_number_stands_where_it_is_named():
     """By its name on the home page, or by its row of the scorecard, with two digits."""
-    text = claims.filled("{A|r|q|%} % of {home.x}, not {A|r|p|%}", CARD, {"home.x": "7"})
-    assert text == "0.025 % of 7, not 12"
+    text = claims.filled("{A|r|q|%} % of {home.x}, not {A|r|p|%} or {A|r|s|%}", CARD, {"home.x": "7"})
+    assert text == "0.025 % of 7, not 12 or 4300"
 
 
 def test_a_name_without_a_number_is_refused():

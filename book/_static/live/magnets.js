@@ -11,7 +11,7 @@ const POSES = 40;
 
 const DEFAULTS = {
   segments: 3, sensors: 3, radial: 13, tilt: 0, noise: 7.1e-4, seed: 1, off: "", tolerances: false, calibrated: false,
-  method: "lm", evaluations: 20, start: "last", course: 60, q: "", field: true, view: 300, moved: 3,
+  method: "lm", evaluations: 20, start: "last", from: "", course: 60, q: "", field: true, view: 300, moved: 3,
 };
 
 // ---- The robot, as drawn and as it is ------------------------------------------------------------------------------
@@ -81,6 +81,13 @@ const parsed = (text, n) => {
   const q = text.split(";").map((x) => Number(x) / 1e3);
   return text && q.length === 3 * n && q.every(Number.isFinite) ? q.map((x, c) => clamp(x, box(n).low[c], box(n).high[c])) : null;
 };
+
+/** Where both estimates began, the momentum of the descent too, as the address keeps it: a link shows the same estimates. */
+const inAddress = (began) => [...began.lm, ...began.descent, ...began.momentum].map((x) => x.toPrecision(8).replace("+", "")).join(";");
+const fromAddress = (text, n) => {
+  const x = text.split(";").map(Number), part = (k) => x.slice(3 * n * k, 3 * n * (k + 1));
+  return x.length === 9 * n && x.every(Number.isFinite) ? { lm: part(0), descent: part(1), momentum: part(2) } : null;
+};
 const truthOf = (state) => parsed(state.q, state.segments) || lemniscate(state.segments, state.course);
 
 /** What does not change while the robot moves: the robot as it is, and the model that the estimators have. */
@@ -115,12 +122,16 @@ function compute(figure) {
   const u = [...sensingOf(figure.real)(q, false).u].map((x) => x + state.noise * random.normal());
   const sensing = sensingOf(model), { low, high } = box(n), evaluations = state.evaluations;
   const before = figure.estimate, asked = [figure.key, state.start, model === figure.drawn, evaluations, use, u].join();
-  if (!before || before.asked !== asked) { // the same question, as when the view is turned, is answered once
+  const linked = state.from !== figure.from; // by the address
+  if (linked || !before || before.asked !== asked) { // the same question, as when the view is turned, is answered once
     // as the paper does it: at first from the true shape, then from the estimate before
-    const warm = state.start === "last", last = warm && before, from = warm ? q : straight(n), steps = q.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
-    const lm = REPRO.levenbergMarquardt(sensing, last ? last.lm.q : from, u, use, low, high, evaluations - 1);
-    const descent = REPRO.gradientDescent(sensing, last ? last.descent.q : from, last ? last.descent.momentum : from.map(() => 0), u, use, steps, 0.3, evaluations);
+    const warm = state.start === "last", from = warm ? q : straight(n), steps = q.map((_, c) => STEPS[n][c % 3 === 2 ? 1 : 0]);
+    const last = warm && (linked ? fromAddress(state.from, n) : before && { lm: before.lm.q, descent: before.descent.q, momentum: before.descent.momentum });
+    const began = last || { lm: from, descent: from, momentum: from.map(() => 0) };
+    const lm = REPRO.levenbergMarquardt(sensing, began.lm, u, use, low, high, evaluations - 1);
+    const descent = REPRO.gradientDescent(sensing, began.descent, began.momentum, u, use, steps, 0.3, evaluations);
     figure.estimate = { lm, descent, asked };
+    if (!(linked && figure.waiting)) figure.from = state.from = last ? inAddress(last) : "";
   }
   const { lm, descent } = figure.estimate;
   const tip = REPRO.tip(model.body, q).p;

@@ -1123,14 +1123,14 @@ WORTH = """
 paper's filter as released has {{ y[1] }}°. These are medians over {{ takes }} of the 12 recorded takes, against
 motion capture; Fig. 9 prints no errors. **This verdict depends on what we call the bend.** We take the tilt of the
 body's *y* axis, because the body moves to where *y* tilts. We also calibrate on it, which favours our ratios. The
-released code takes the tilt of *z*. Against *z* the ratios have {{ z[0] }}°, and the filter {{ z[1] }}°.
+released code takes the tilt of *z*, against which the filter is
+{{ "better" if z[1] | float < z[0] | float else "worse" }}.
 {% if alike %}
-In {{ alike }} of the takes the filter has the same error against both axes, within half a degree. So there the
-choice hardly matters, and the errors are
-{{ there[0] }}° and {{ there[1] }}°.
+In {{ alike }} of the takes the choice hardly matters to the filter. There the ratios have an error of {{ there[0] }}°
+and the filter {{ there[1] }}°.
 {% endif %}
-The table has three methods; *All numbers* has all {{ methods }}. For example, with an arc of 15 mm the filter comes
-to {{ longer }}°, for a reason that we give below.
+*All numbers* has all {{ methods }} methods. With an arc of 15 mm the filter comes to {{ longer }}°, for a reason that
+we give below.
 """
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from IPython.display import HTML
@@ -15,10 +16,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from repro_companion.plots.style import (
+    BESIDE,
     BLUE,
     LEVELS,
     ORANGE,
     PINK,
+    WIDTH,
+    marks,
     row_of_panels,
     style,
     with_legend,
@@ -94,7 +98,8 @@ def _box(panel: Axes, case: pd.Series, x: float, number: int, column: str, print
 def error_hull(hull: pd.DataFrame) -> Figure:
     """Draw Fig. 6: the arm in one pose of each mode, leaning to one side, in a hull with the error as radius."""
     modes = hull.groupby("mode", sort=False)
-    figure, panels = row_of_panels(len(modes), 2.2, "height [mm]", sharex=True, sharey=True)
+    figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey=True)
+    *panels, beside = grid.ravel()
     for panel, (mode, part) in zip(panels, modes, strict=True):
         arm, estimate = (part[[f"{of}{axis}_mm" for axis in "xyz"]].to_numpy() for of in ("", "estimate_"))
         line = from_the_side(arm, arm)
@@ -105,10 +110,13 @@ def error_hull(hull: pd.DataFrame) -> Figure:
             panel.add_collection(PatchCollection(discs, **look))
         panel.plot(*line.T, color="#1A1A1A", lw=2)
         panel.plot(*from_the_side(estimate, arm).T, color=ORANGE)
-        panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]")
+        panel.set(title=mode, aspect="equal", xlabel="horizontal [mm]", ylabel="height [mm]")
+        panel.tick_params(labelbottom=True, labelleft=True)
     looks = {"arm": {"color": "#1A1A1A"}, "estimate": {"color": ORANGE}}
     looks["within Q3 of the error"] = {"color": "#A6D5F2", "lw": 6}
-    return with_legend(figure, looks, columns=3)
+    beside.set_axis_off()
+    beside.legend(handles=marks(looks), loc="center", **BESIDE)
+    return figure
 
 
 def from_the_side(points: np.ndarray, arm: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from matplotlib.patches import Circle, Polygon
 
 from repro import Robot
 from repro_companion.plots.style import (
-    BESIDE,
     BLUE,
     BODY,
     GREEN,
@@ -23,10 +22,10 @@ from repro_companion.plots.style import (
     ORANGE,
     PINK,
     SKY,
+    TRUTH_ESTIMATE,
     WIDTH,
     Look,
     halves_of_rings,
-    marks,
     over_time,
     style,
     to_scale,
@@ -141,41 +140,36 @@ MAP: Mapping[str, Look] = {
 
 
 @style(**GREY_INK)
-def landscape_and_estimates(
-    maps: dict[str, tuple[pd.DataFrame, list[pd.DataFrame], np.ndarray]],
-    series: dict[str, np.ndarray],
-    zoom_s: tuple[float, float],
-) -> Figure:
-    """Draw Fig. 10: the loss [mV] with the paths of descents [mm]; below, the bend over time, and a part of T5.
+def landscapes(maps: dict[str, tuple[pd.DataFrame, list[pd.DataFrame], np.ndarray]]) -> Figure:
+    """Draw Fig. 10(a): the loss [mV] with the paths of descents [mm].
 
-    A map holds the loss, what the descent tries (and what it would try with half the step), and the truth. A series
-    holds truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm] of a trajectory.
+    A map holds the loss, what the descent tries (and what it would try with half the step), and the truth.
     """
-    places = [[*maps], *([name] * len(maps) for name in (*series, "a part"))]
-    figure, panels = plt.subplot_mosaic(places, figsize=(WIDTH, 9.6), height_ratios=(2.8, 1.6, 1.6, 1.6))
-    for title, of_map in maps.items():
-        _landscape(panels[title], *of_map)
-        panels[title].set_title(title)
-    drawn_on = [panels[title] for title in maps]
-    figure.colorbar(drawn_on[0].collections[0], ax=drawn_on, label="error of the readings [mV]")
+    figure, (panels,) = plt.subplots(1, len(maps), figsize=(WIDTH, 3.4), squeeze=False)
+    for panel, (title, of_map) in zip(panels, maps.items(), strict=True):
+        _landscape(panel, *of_map)
+        panel.set_title(title)
+    figure.colorbar(panels[0].collections[0], ax=panels, label="error of the readings [mV]")
+    return with_legend(figure, MAP, columns=5)
+
+
+@style()
+def estimates_over_time(series: dict[str, np.ndarray], zoom_s: tuple[float, float]) -> Figure:
+    """Draw Fig. 10(b): truth and the estimates of all seeds ``[t, 2, 1 + seeds]`` [mm], and a part of the last."""
     last = [*series][-1]
-    for name, values in (series | {"a part": series[last]}).items():
+    figure, panels = plt.subplots(len(series) + 1, 1, figsize=(WIDTH, 5.4))
+    for panel, (name, values) in zip(
+        panels, [*series.items(), (f"{last}, a part of it", series[last])], strict=True
+    ):
         for k, colour in enumerate((BLUE, ORANGE)):
             found = pd.DataFrame(values[:, k, 1:])
             curves = {"time_s": np.arange(len(values)) / 40, "truth": values[:, k, 0]}
             curves |= {"mean": found.mean(axis=1), "std": found.std(axis=1)}
-            over_time(panels[name], pd.DataFrame(curves), colour)
-        panels[name].set(title=name, ylabel="bend [mm]", xmargin=0)
-    panels["a part"].set(xlim=zoom_s, xlabel="time [s]", title=f"{last}, a part of it")
-    looks: dict[str, Look] = {
-        r"$\Delta_x$": {"color": BLUE, "lw": 3},
-        r"$\Delta_y$": {"color": ORANGE, "lw": 3},
-        "truth": {"color": "#767676", "lw": 3, "alpha": 0.6},
-        "estimate": {"color": "#767676", "lw": 1.2, "ls": (0, (4, 2))},
-    }
-    beside = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.15), **BESIDE}
-    panels[next(iter(series))].legend(handles=marks(looks), ncols=4, **beside)
-    return with_legend(figure, MAP, columns=5)
+            over_time(panel, pd.DataFrame(curves), colour)
+        panel.set(title=name, ylabel="bend [mm]", xmargin=0)
+    panels[-1].set(xlim=zoom_s, xlabel="time [s]")
+    bends = {r"$\Delta_x$": {"color": BLUE, "lw": 3}, r"$\Delta_y$": {"color": ORANGE, "lw": 3}}
+    return with_legend(figure, bends | TRUTH_ESTIMATE, columns=4)
 
 
 def _landscape(panel: Axes, grid: pd.DataFrame, paths: list[pd.DataFrame], truth: np.ndarray) -> None:

@@ -269,7 +269,7 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
     """Draw Fig. 4(b): readings above, configurations below; truth, and the mean over seeds with its deviation."""
     signs = (r"\Delta_{x,%d}", r"\Delta_{y,%d}", r"\delta L_{%d}")
     n = u["name"].nunique() // 4  # segments
-    figure, panels = column_of_panels(2 * n, 1.84 * n + 0.7, "time [s]")
+    figure, panels = column_of_panels(2 * n, 2.1 * n + 0.7, "time [s]")
     for table, own, per in ((u, panels[:n], 4), (q, panels[n:], 3)):
         for k, (name, part) in enumerate(table.groupby("name", sort=False)):
             text = f"u_{{{name}}}" if per == 4 else signs[k % 3] % (k // 3 + 1)
@@ -277,7 +277,9 @@ def readings_and_shape(u: pd.DataFrame, q: pd.DataFrame, failed: Sequence[int], 
             over_time(own[k // per], part, FOUR[k % per], works, label=f"${text}$")
     for panel, every in zip(panels, [0.5] * n + [10] * n, strict=True):
         panel.axvline(failure_s, color="0.4", lw=1.2, ls=":")
-        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **BESIDE)
+        panel.legend(
+            loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=14.6, **BESIDE | {"labelspacing": 0}
+        )
         panel.margins(x=0.01)
         panel.yaxis.set_major_locator(MultipleLocator(every))
     panels[n // 2].set_ylabel("reading [mT]")

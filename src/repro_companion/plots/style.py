@@ -170,7 +170,7 @@ def over_time(
     panel.plot(t, truth.where(valid), label=label, **wide)
     panel.plot(t, truth.mask(valid), **wide | {"alpha": 0.15})
     panel.plot(t, mean, **dashed)
-    panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.2, lw=0)
+    panel.fill_between(t, mean - deviation, mean + deviation, color=colour, alpha=0.3, lw=0)
 
 
 def with_spread(mean: float, std: float, places: int, between: str = " ± ") -> str:
