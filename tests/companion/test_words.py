@@ -83,8 +83,9 @@ ATTEMPTS = pd.DataFrame(
         (lambda: failure.alarms_in_words(ALARMS), "had an alarm in 2 readings."),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "a factor of 10 compared with nominal"),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "(95 % interval over 9 robots: 5 to 20)"),
-        (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32),
-         "a tip error of 15 mm. After a calibration in 32 poses the error is 0.12 mm."),
+        (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32, [2.0, 4.56]),
+         "a tip error of 15 mm. After a calibration in 32 exact poses the error is 0.12 mm; in poses known to 1 mm, as "
+         "you may have them, 2.0 to 4.6 mm."),
         (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
