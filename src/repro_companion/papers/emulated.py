@@ -90,9 +90,9 @@ def cases(found: Mapping[str, tuple[Trajectory, np.ndarray, np.ndarray]]) -> pd.
 
 CASES_IN_WORDS = """
 **What to see.** As its file describes it, this robot is useless, with a tip error of {{ median[0] | fixed(0) }} mm.
-After a calibration in {{ poses }} exact poses the error is {{ "%.2g" | format(median[1]) }} mm; in poses known to 1 mm,
-as you may have them, {{ rough | min | fixed(1) }} to {{ rough | max | fixed(1) }} mm. If a chip freezes in the middle
-of the motion, the monitor leaves it out, and the error over the whole motion is
+After a calibration in {{ poses }} exact poses the error is {{ "%.2g" | format(median[1]) }} mm; in poses known to
+1 mm, as you may have them, {{ rough | min | fixed(1) }} to {{ rough | max | fixed(1) }} mm. If a chip freezes in the
+middle of the motion, the monitor leaves it out, and the error over the whole motion is
 {{ "%.2g" | format(median[2]) }} mm. All errors and ± are medians over the motion.
 """
 
