@@ -27,19 +27,22 @@ TITLES = {
     "free_magnet": "A free magnet",
     "hanging_arm": "A hanging arm",
 }
-HEAD = """# Gallery of robots
+STRIP = "\n".join(f"[![{title}](gallery/{name}.png)](#robot-{name})" for name, title in TITLES.items())
+HEAD = f"""# Gallery of robots
 
-```{index} ! gallery of robots, MLX90393, ! TLV493D, ! TMAG5273, ! LIS3MDL, ! MMC5983MA, BNO055
+```{{index}} ! gallery of robots, MLX90393, ! TLV493D, ! TMAG5273, ! LIS3MDL, ! MMC5983MA, BNO055
 ```
 
 Ten robots to start from. Copy the file that is nearest to yours, change its numbers, and ask `repro check`.
 The files lie in `data/robots/gallery`, and [Robot file](robot_file.md) explains every key.
 
-The noise of every chip is a **placeholder**, because we have measured none: hold your robot still and take the
-standard deviation of what you read. Ranges and steps are those of makers or drivers, which the files name. Do not
-compare chips by this table, because the arms differ, and so do the noises that we assumed.
+{{.strip}}
+{STRIP}
 
-{.as-cards}
+The pictures are in mm: blue in the middle of the bounds, orange moved. Magnets have a red north pole, and arrows show
+the axes of chips and IMUs. A click leads to the file.
+
+{{.as-cards}}
 | robot | chips | noise | median ± [mm] | worst ± [mm] | blind ± [mm] | tracked [mm] |
 |---|---|---|---|---|---|---|
 """
@@ -49,8 +52,9 @@ the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the m
 Magpylib computes the fields of the robot as it is drawn, we add the noise and round to the step of the chip, and
 least squares tracks ten seconds of a smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 
-The pictures are in mm: blue in the middle of the bounds, orange moved. Magnets have a red north pole, and arrows show
-the axes of chips and IMUs.
+The noise of every chip is a **placeholder**, because we have measured none: hold your robot still and take the
+standard deviation of what you read. Ranges and steps are those of makers or drivers, which the files name. Do not
+compare chips by the table, because the arms differ, and so do the noises that we assumed.
 
 ::::{grid} 1 1 2 2
 :gutter: 3

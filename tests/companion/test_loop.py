@@ -222,4 +222,4 @@ def test_the_study_of_noise_continues_the_page():
     np.testing.assert_allclose(here["tracking_mm"], committed["tracking_mm"], rtol=1e-3)
     table = loop.noise_table(noises)
     assert len(table) == 2 * noises["noise_mt"].nunique()
-    assert f"{table[loop.INFORMED].iloc[3]:.2f} mm off its reference" in loop.in_words(table)
+    assert f"{table[loop.INFORMED].iloc[0]:.2f} mm off its reference" in loop.in_words(table)

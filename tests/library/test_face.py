@@ -55,6 +55,7 @@ def test_the_lines_of_the_reference_find_the_shape_that_they_simulate():
     exec(lines, there)
     tips = [there["robot"].tip(q)[:, :3, 3] for q in (there["q"], there["shape"].q)]
     assert np.linalg.norm(tips[0] - tips[1], axis=1).max() < 2e-4
+    assert f"```text\n{there['shape']}\n```" in page
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -90,15 +90,16 @@ def cases(found: Mapping[str, tuple[Trajectory, np.ndarray, np.ndarray]]) -> pd.
 
 CASES_IN_WORDS = """
 **What to see.** As its file describes it, this robot is useless, with a tip error of {{ median[0] | fixed(0) }} mm.
-After a calibration in {{ poses }} poses the error is {{ "%.2g" | format(median[1]) }} mm. If a chip freezes in the
+After a calibration in {{ poses }} exact poses the error is {{ "%.2g" | format(median[1]) }} mm; in poses known to
+1 mm, as you may have them, {{ rough | min | fixed(1) }} to {{ rough | max | fixed(1) }} mm. If a chip freezes in the
 middle of the motion, the monitor leaves it out, and the error over the whole motion is
 {{ "%.2g" | format(median[2]) }} mm. All errors and ± are medians over the motion.
 """
 
 
-def cases_in_words(table: pd.DataFrame, poses: int) -> str:
-    """Return what a calibration gains, and what a chip that fails costs."""
-    return sentences(CASES_IN_WORDS, median=list(table["median"]), poses=poses)
+def cases_in_words(table: pd.DataFrame, poses: int, rough: list[float]) -> str:
+    """Return what a calibration gains, in exact poses and in rough ones, and what a chip that fails costs."""
+    return sentences(CASES_IN_WORDS, median=list(table["median"]), poses=poses, rough=rough)
 
 
 # From a board to a shape

@@ -143,16 +143,18 @@ def noise_table(noises: pd.DataFrame) -> pd.DataFrame:
     """Return tracking errors [mm] with high gain by arm, noise of the sensors [mT] and estimator, of the study."""
     part = noises[(noises["controller"] == "high gain") & noises["estimator"].isin((ALONE, FILTER, INFORMED))]
     wide = part.pivot_table("tracking_mm", ["session", "noise_mt"], "estimator", sort=False)
-    return wide.rename_axis(columns=None).reset_index()
+    return (
+        wide.rename_axis(columns=None).reset_index().sort_values(["session", "noise_mt"], ignore_index=True)
+    )
 
 
 IN_SHORT = """
-**In short.** Give the filter the command. With high gain and the noise of real sensors, {{ noise }} mT, the bend is
-then {{ as_modelled[informed] | fixed(2) }} mm off its reference, against {{ as_modelled[alone] | fixed(2) }} mm with
-least squares, whose estimate comes a sample late. A Kalman filter without the command does as well if the arm is as
-modelled, but it is the worst of the three if the arm bends a fifth further ({{ softer[plain] | fixed(1) }} mm). The
-table has the distance of the bend from its reference (synthetic, root mean square); the tip is off by about 2.5
-times as much.
+**In short.** Give the filter the command. With high gain and the noise of real sensors, {{ noise }} mT (the first
+row), the bend is then {{ as_modelled[informed] | fixed(2) }} mm off its reference, against
+{{ as_modelled[alone] | fixed(2) }} mm with least squares, whose estimate comes a sample late. A Kalman filter without
+the command does as well if the arm is as modelled, but it is the worst of the three if the arm bends a fifth further
+({{ softer[plain] | fixed(1) }} mm). The table has root mean squares of this distance (synthetic); the tip is off by
+about 2.5 times as much.
 """
 
 

@@ -341,10 +341,9 @@ def _enough(errors: np.ndarray, tolerance: float) -> float:
 # What the page says
 
 IN_SHORT = """
-**In short.** *Magnets:* use at least three single-axis sensors, or one three-axis chip (not tested here), on each
-segment. Two single-axis sensors leave one of its three coordinates open, however quiet they are. From three on, the
-error falls only with the square root of their number: {{ most }} sensors have {{ share | fixed(0) }} % of the error
-of three. Calibrate the robot before you add sensors.
+**In short.** *Magnets:* use three single-axis sensors, or one three-axis chip (not tested here), on each segment. Two
+single-axis sensors leave one of its three coordinates open, however quiet they are. More than three help little:
+{{ most }} sensors have {{ share | fixed(0) }} % of the error of three. Calibrate the robot before you add sensors.
 """
 IMUS_IN_SHORT = """
 *IMUs:* take an arm of {{ length }} mm, with a curvature of at most {{ curvature }} rad/m that changes by at most

@@ -515,10 +515,9 @@ def choice_in_words(trackers: pd.DataFrame, slow: pd.Series, choice: pd.DataFram
     return (
         f"After calibration the tip's tracker is wrong by {tip['position_mm']:.1f} mm and"
         f" {tip['rotation_deg']:.1f}° along and about each axis. The slow trial chooses *{kept}* with"
-        f" {slow[kept]:.1f} mm, and {others}. With *inflated* our smoother would have a smaller error than with"
-        f" *white* in {lower.sum()} of {lower.size} cases (raw or calibrated, by trial)."
-        f" {'But our' if kept == 'white' else 'Our'} rule averages filter and smoother and uses the slow trial only,"
-        f" so we keep *{kept}*."
+        f" {slow[kept]:.1f} mm, and {others}. This rule counts filter and smoother, in the slow trial only: our"
+        f" smoother alone has a smaller error with *inflated* than with *white* in {lower.sum()} of {lower.size}"
+        " cases (raw or calibrated, by trial)."
     )
 
 

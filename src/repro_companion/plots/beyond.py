@@ -98,7 +98,7 @@ def robots_of_others(shapes: pd.DataFrame) -> Figure:
     """Draw a small picture of each robot, the base below, above a bar of its scale."""
     names = list(shapes["robot"].unique())
     rows = -(-len(names) // 4)
-    figure, panels = plt.subplots(rows, 4, figsize=(WIDTH, 2.25 * rows), squeeze=False)
+    figure, panels = plt.subplots(rows, 4, figsize=(WIDTH, 2.0 * rows), squeeze=False)
     for panel in panels.ravel():
         panel.set_axis_off()
     for panel, (name, part) in zip(panels.ravel(), shapes.groupby("robot", sort=False), strict=False):
