@@ -252,13 +252,28 @@ def test_residuals_of_a_calibration_are_root_mean_squares():
     robot = robot.replaced(sensors=[named, robot.sensors[1]], noise=1.0)
     off = {"sensor 1 offset": 3.0, "sensor 2 offset": 4.0}
     found = Calibration(
-        placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.95, 0.1]), np.ones(2), np.eye(2),
+        placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.91, 0.89]), np.ones(2), np.eye(2),
         1.0, 9, 1.0, 1.0, np.zeros((2, 2)),
     )  # fmt: skip
     q = shapes(robot, np.arange(9.0))
     text = report.calibration_report(found, q, robot.sensing()(q))
     assert "mT as described, 3.54 mT calibrated." in text
     assert "1 parameters stay as uncertain as before: left offset" in text
+
+
+@pytest.mark.parametrize(
+    ("worst", "words"),
+    [(20.0, "known to ±10 mm in most rows, ±20 mm in the worst"), (999.0, "known to ±10 mm in most rows, ±1e+03 mm"),
+     (1000.0, "known to ±10 mm in most rows")],
+)  # fmt: skip
+def test_how_well_the_tip_is_known_is_a_length_over_three_axes(worst, words):
+    """Rows of 5 and 10 mm, by the triangle with sides 3, 4 and 5, and a worst one, which a metre makes unknown."""
+    names = [f"tip_{axis}_sd_mm" for axis in "xyz"]
+    frame = pd.DataFrame([[3.0, 0.0, 4.0], [6.0, 8.0, 0.0], [worst, 0.0, 0.0]], columns=names)
+    said = report.tip_known(frame)
+    assert said.startswith(f"tip: {words}")
+    assert ("worst" in said) == (worst < 1000)
+    assert report.tip_known(100 * frame[1:]) == "tip: not known in most rows"
 
 
 def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
