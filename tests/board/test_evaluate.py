@@ -245,6 +245,18 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
         assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
 
 
+@pytest.mark.parametrize(("unexplained", "lag_s"), [(0.15, 3.0), (0.4, 0.0)])
+def test_a_lag_of_held_poses_that_leaves_more_than_a_quarter_of_the_readings_is_none(unexplained, lag_s):
+    """Sixteen holds of 1.6 s by a clock that is 3 s behind, and noise with a share of the square of the readings."""
+    robot, rng = repro.load_robot(EXAMPLE), np.random.default_rng(0)
+    q = robot.lower + (robot.upper - robot.lower) * rng.uniform(0.05, 0.95, (16, robot.n_q))
+    u = read(robot, q)
+    u = u + np.sqrt(unexplained / (1 - unexplained)) * u.std(0) * rng.normal(size=u.shape)
+    t, held = np.arange(0, 32, 1 / 40), 2.0 * np.arange(16)[:, None] + [0.2, 1.8]
+    found = module.held_lag(robot, q, held - 3.0, t, u[(t / 2).astype(int)], [])
+    assert found == pytest.approx(lag_s, abs=0.06)
+
+
 def test_residuals_of_a_calibration_are_root_mean_squares():
     """Two sensors that are off by 3 and 4 mT: 5 by the root of 2."""
     robot = repro.load_robot(RAW)
@@ -314,8 +326,8 @@ def one_spike(q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("spoilt", "words"),
-    [(gaps, "have no pose"), (short_holds, "while the readings move"), (frozen, "repeat the one before"),
-     (one_spike, "do not go with their poses")],
+    [(gaps, "have no pose"), (short_holds, "while the readings move: left out, from 1.13 s,"),
+     (frozen, "repeat the one before"), (one_spike, "do not go with their poses")],
 )  # fmt: skip
 def test_bad_samples_of_the_motion_capture_change_the_error_by_less_than_a_twentieth(
     good, spoilt, words, tmp_path

@@ -725,6 +725,16 @@ def test_a_port_that_there_is_not_is_refused(page):
             PageServer(page.session, port)
 
 
+def test_the_usual_port_is_in_no_name_that_a_browser_gives(page):
+    assert f"localhost:{page.port}" in page.hosts
+    try:
+        server = PageServer(page.session, 80)
+    except InputError as error:
+        pytest.skip(f"port 80 is taken or forbidden here: {error}")
+    with server:
+        assert server.hosts == ("127.0.0.1", "localhost")
+
+
 async def cut_off(server) -> None:
     """Close the connections of all pages without a word."""
     for page in list(server.pages):
