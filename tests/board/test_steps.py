@@ -101,7 +101,7 @@ def test_imus_make_a_step_when_all_have_sent_or_one_sends_again():
 def test_a_silent_imu_is_missing_and_comes_back():
     steps = Steps(ARM)
     readings(steps, [turned(k) for k in (1, 2, 3)] * 5)
-    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 10))
+    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 100))
     silent = np.asarray(np.isnan(without[:, 6:]).all(axis=1))
     assert 2 <= np.argmax(silent) <= 3  # what it said last is kept for two turns
     assert silent[4:].all()
