@@ -64,6 +64,12 @@ def test_cells_may_move_as_far_as_their_tolerance(root, before, after, said):
         assert words in line
 
 
+def test_numbers_are_measured_by_the_largest_of_their_column_and_missing_words_are_alike(root):
+    (root / "old/small.csv").write_text("name,note,error_mm\na,,0.001\nb,x,0.002\n")
+    (said,) = found(root, "name,note,error_mm\na,,0.001\nb,x,0.0021\n", "small.csv")
+    assert "error_mm differs in 1 row, most where the row is 'b x': by 4.8e-02 of" in said
+
+
 def test_rows_are_matched_by_what_tells_them_apart_not_by_their_place(root):
     head, *rows = TABLE.splitlines(keepends=True)
     assert found(root, "".join([head, *reversed(rows)])) == []

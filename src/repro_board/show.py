@@ -125,7 +125,7 @@ def _said(frame: pd.DataFrame) -> tuple[list[Json], Array]:
 
     The level is 0 if all is well, 1 if the shape is to be trusted all the same, else 2.
     """
-    named = frame["suspects"].fillna("") if "suspects" in frame else [""] * len(frame)
+    named = frame["suspects"].astype(object).fillna("") if "suspects" in frame else [""] * len(frame)
     pairs = list(zip(frame["status"].astype(str), named, strict=True))
     number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
     said = [

@@ -339,6 +339,15 @@ def test_bytes_are_lost_doubled_and_changed_as_often_as_stated(fault):
         assert 0.03 < (a != b).mean() < 0.04
 
 
+def test_another_seed_damages_other_bytes():
+    def line(seed, **faults):
+        still = lambda times: np.zeros((len(times), EXACT.n_q))  # noqa: E731
+        return b"".join(x for _, x in islice(board_bytes(EXACT, motion=still, faults=faults, seed=seed), 100))
+
+    assert line(0) == line(1)
+    assert line(0, flips=0.01) == line(0, flips=0.01) != line(1, flips=0.01)
+
+
 def test_a_stall_holds_readings_back_and_loses_none():
     sound, given = sent({"stalls": 0.002, "stall_s": 0.3})
     assert b"".join(data for _, data in given) == sound

@@ -245,6 +245,18 @@ def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
         assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
 
 
+@pytest.mark.parametrize(("unexplained", "lag_s"), [(0.15, 3.0), (0.4, 0.0)])
+def test_a_lag_of_held_poses_that_leaves_more_than_a_quarter_of_the_readings_is_none(unexplained, lag_s):
+    """Sixteen holds of 1.6 s by a clock that is 3 s behind, and noise with a share of the square of the readings."""
+    robot, rng = repro.load_robot(EXAMPLE), np.random.default_rng(0)
+    q = robot.lower + (robot.upper - robot.lower) * rng.uniform(0.05, 0.95, (16, robot.n_q))
+    u = read(robot, q)
+    u = u + np.sqrt(unexplained / (1 - unexplained)) * u.std(0) * rng.normal(size=u.shape)
+    t, held = np.arange(0, 32, 1 / 40), 2.0 * np.arange(16)[:, None] + [0.2, 1.8]
+    found = module.held_lag(robot, q, held - 3.0, t, u[(t / 2).astype(int)], [])
+    assert found == pytest.approx(lag_s, abs=0.06)
+
+
 def test_residuals_of_a_calibration_are_root_mean_squares():
     """Two sensors that are off by 3 and 4 mT: 5 by the root of 2."""
     robot = repro.load_robot(RAW)
@@ -252,13 +264,28 @@ def test_residuals_of_a_calibration_are_root_mean_squares():
     robot = robot.replaced(sensors=[named, robot.sensors[1]], noise=1.0)
     off = {"sensor 1 offset": 3.0, "sensor 2 offset": 4.0}
     found = Calibration(
-        placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.95, 0.1]), np.ones(2), np.eye(2),
+        placed(robot, off), robot, tuple(off), np.array([3.0, 4.0]), np.array([0.91, 0.89]), np.ones(2), np.eye(2),
         1.0, 9, 1.0, 1.0, np.zeros((2, 2)),
     )  # fmt: skip
     q = shapes(robot, np.arange(9.0))
     text = report.calibration_report(found, q, robot.sensing()(q))
     assert "mT as described, 3.54 mT calibrated." in text
     assert "1 parameters stay as uncertain as before: left offset" in text
+
+
+@pytest.mark.parametrize(
+    ("worst", "words"),
+    [(20.0, "known to ±10 mm in most rows, ±20 mm in the worst"), (999.0, "known to ±10 mm in most rows, ±1e+03 mm"),
+     (1000.0, "known to ±10 mm in most rows")],
+)  # fmt: skip
+def test_how_well_the_tip_is_known_is_a_length_over_three_axes(worst, words):
+    """Rows of 5 and 10 mm, by the triangle with sides 3, 4 and 5, and a worst one, which a metre makes unknown."""
+    names = [f"tip_{axis}_sd_mm" for axis in "xyz"]
+    frame = pd.DataFrame([[3.0, 0.0, 4.0], [6.0, 8.0, 0.0], [worst, 0.0, 0.0]], columns=names)
+    said = report.tip_known(frame)
+    assert said.startswith(f"tip: {words}")
+    assert ("worst" in said) == (worst < 1000)
+    assert report.tip_known(100 * frame[1:]) == "tip: not known in most rows"
 
 
 def test_a_deviation_that_is_stated_half_too_small_must_grow_twofold():
@@ -299,8 +326,8 @@ def one_spike(q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("spoilt", "words"),
-    [(gaps, "have no pose"), (short_holds, "while the readings move"), (frozen, "repeat the one before"),
-     (one_spike, "do not go with their poses")],
+    [(gaps, "have no pose"), (short_holds, "while the readings move: left out, from 1.13 s,"),
+     (frozen, "repeat the one before"), (one_spike, "do not go with their poses")],
 )  # fmt: skip
 def test_bad_samples_of_the_motion_capture_change_the_error_by_less_than_a_twentieth(
     good, spoilt, words, tmp_path

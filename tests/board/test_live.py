@@ -725,6 +725,16 @@ def test_a_port_that_there_is_not_is_refused(page):
             PageServer(page.session, port)
 
 
+def test_the_usual_port_is_in_no_name_that_a_browser_gives(page):
+    assert f"localhost:{page.port}" in page.hosts
+    try:
+        server = PageServer(page.session, 80)
+    except InputError as error:
+        pytest.skip(f"port 80 is taken or forbidden here: {error}")
+    with server:
+        assert server.hosts == ("127.0.0.1", "localhost")
+
+
 async def cut_off(server) -> None:
     """Close the connections of all pages without a word."""
     for page in list(server.pages):
@@ -747,6 +757,10 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert red(page.locator("#shape canvas")) > 50
         ends = "[0.2, 5].map((age) => { const x = new Traces(null, 1); x.add(10, [1], age); return x.end; })"
+        anew = (
+            "(() => { const x = new Traces(null, 1); x.add(9, [1], 0); x.add(1, [2], 0); return x.rows; })()"
+        )
+        assert page.evaluate(anew) == [[1, [2]]]  # what a board sent before it began anew is gone
         assert page.evaluate(ends) == [10, 15]  # old readings stand where their time is, not at "now"
         others = [stream(server) for _ in range(MOST_PAGES - 1)]
         one_more = page.context.new_page()

@@ -285,6 +285,17 @@ def test_damaged_recordings_hold_no_wrong_value_and_tell_what_is_missing(tmp_pat
     assert sum(damaged.soak(300, 7, tmp_path).values()) == 300
 
 
+@pytest.mark.parametrize(("gaps", "end"), [(10, "1 from number 19)"), (11, "1 from number 19, ...)")])
+def test_ten_gaps_are_named(tmp_path, gaps, end):
+    path = written(tmp_path / "a.rec", frames(range(2 * gaps)))
+    data = path.read_bytes()
+    blocks = [data[a:b] for a, b in itertools.pairwise(damaged.starts(data))]
+    path.write_bytes(b"".join([*blocks[::2], blocks[-1]]))
+    said = read_recording(path).remarks[0]
+    assert said.startswith(f"blocks that are missing: {gaps} of {2 * gaps + 2} (1 from number 1, ")
+    assert said.endswith(end)
+
+
 def test_blocks_that_are_missing_are_named_by_their_numbers(tmp_path):
     path = written(tmp_path / "a.rec", frames(range(9)))
     data = path.read_bytes()

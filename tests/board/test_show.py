@@ -156,6 +156,16 @@ def test_a_long_recording_is_thinned_but_no_alarm_and_no_extreme(folder, tmp_pat
     assert (tmp_path / "a.html").stat().st_size < 3e6
 
 
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_rows_that_are_seconds_apart_are_joined_and_one_row_has_a_place_in_time(folder, tmp_path, rows):
+    few = pd.read_csv(folder / "shape.csv").head(rows).assign(time_s=10.0 * np.arange(rows))
+    few.to_csv(tmp_path / "few.csv", index=False)
+    show_file(tmp_path / "few.csv", folder / "robot.toml", tmp_path / "few.html")
+    own = told(tmp_path / "few.html")[0]
+    assert own["from"] < own["to"]
+    assert rows == 1 or own["charts"][0]["gap_s"] > 10.0
+
+
 def test_what_cannot_be_shown_is_refused_and_leaves_nothing(folder, tmp_path):
     robot = folder / "robot.toml"
     with closing(Writer(tmp_path / "empty.rec", {})) as writer:
@@ -246,6 +256,29 @@ def test_the_slider_moves_shape_mark_and_words_by_keyboard(opened, page_file, wi
     assert left(mark) == pytest.approx(at(0.0) - 1, abs=1.5)
 
 
+JOINED = """(gap) => {
+    const canvas = document.body.appendChild(make("canvas"));
+    canvas.style.cssText = "width: 400px; height: 100px";
+    drawLines(canvas, { rows: [[0, [1]], [10, [1]]], count: 1, limits: [0, 3], labels: [], gap, from: 0, to: 10 });
+    const { data } = canvas.getContext("2d").getImageData(canvas.width / 2, 0, 1, canvas.height);
+    canvas.remove();
+    return data.some((_, k) => k % 4 === 0 && data[k + 2] - data[k] > 60);
+}"""
+"""Whether a blue line leads from one value to another that is 10 s later."""
+
+
+def test_lines_over_time_have_round_ticks_room_and_gaps(opened):
+    page = opened(1400, "light")
+    assert [page.evaluate(JOINED, gap) for gap in (9, 10, 11)] == [False, True, True]
+    for low, high in ((0, 0.03), (-4, 4), (1, 1.7), (0, 2500)):
+        values, digits = page.evaluate(f"ticks({low}, {high})")
+        assert 4 <= len(values) <= 7
+        assert [float(f"{x:.{digits}f}") for x in values] == pytest.approx(values, abs=1e-9)
+    for value in (0, 5, -5):
+        low, high = page.evaluate(f"widened({value}, {value})")
+        assert low < value < high
+
+
 @pytest.mark.slow
 def test_notes_and_alarms_are_seen_and_lead_to_their_time(opened, page_file):
     page = opened(1400, "light")
@@ -273,6 +306,8 @@ def test_notes_and_alarms_are_seen_and_lead_to_their_time(opened, page_file):
     assert alarms.last.get_attribute("aria-current") == "time"
     begin, end, _, k = own["alarms"][-1]
     assert page.inner_text("#clock") == f"{begin:.2f} s"
+    page.evaluate(f"go(nearest({end}))")
+    assert alarms.last.get_attribute("aria-current") == "time"
     assert (own["said"][k]["level"], page.locator("#status").get_attribute("data-level")) == (1, "1")
     assert red(page.locator(".shape-view canvas")) > 50
     box = page.locator("#charts canvas").first.bounding_box()

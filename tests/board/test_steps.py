@@ -101,13 +101,15 @@ def test_imus_make_a_step_when_all_have_sent_or_one_sends_again():
 def test_a_silent_imu_is_missing_and_comes_back():
     steps = Steps(ARM)
     readings(steps, [turned(k) for k in (1, 2, 3)] * 5)
-    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 10))
+    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 100))
     silent = np.asarray(np.isnan(without[:, 6:]).all(axis=1))
     assert 2 <= np.argmax(silent) <= 3  # what it said last is kept for two turns
     assert silent[4:].all()
     assert np.isfinite(without[:, :6]).all()
     again = np.array(readings(steps, [turned(k) for k in (3, 1, 2)] * 3))
     assert np.isfinite(again[-2:]).all()
+    without = np.array(readings(steps, [turned(k) for k in (1, 2)] * 10))
+    assert np.isnan(without[3:, 6:]).all()  # a long silence is no reason to wait longer for the next one
 
 
 def test_an_imu_that_never_sends_costs_no_step():
@@ -256,6 +258,14 @@ def test_a_clock_that_stands_still_is_said_and_not_used(together):
         times = timed(steps, *((0.01 * together * k, *sent) for k, sent in enumerate(blocks)))
         np.testing.assert_allclose(np.diff(times), 0.01, atol=2e-6)
         assert steps.remarks == [STANDS_STILL]
+
+
+def test_a_clock_may_show_one_time_for_longer_than_a_step_takes():
+    steps = Steps(CHIP.replaced(rate_hz=None))
+    timed(
+        steps, *((0.5 * k, 4_000_000 * (k // 8)) for k in range(40))
+    )  # it goes on by 4 s, eight steps later
+    assert (steps.counters["clock_jumps"], steps.remarks) == (0, [])
 
 
 def test_steps_of_one_time_are_spread_as_those_before():

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -110,6 +111,7 @@ def test_what_is_here_is_not_asked_for_again(sources, tmp_path, server):
         "p2020: 1 file, 0.0 MB, 1 here; from github.com/o/n at a1a1a1a",
         "  one: 1 file, 0.0 MB: all",
     ]
+    assert tool.amount([replace(source, size=2_500_000) for source in sources]) == "1 file, 2.5 MB"
 
 
 @pytest.mark.parametrize(

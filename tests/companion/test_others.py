@@ -122,6 +122,14 @@ def test_regions_of_true_covariances_cover_as_often_as_they_should(dimensions):
     np.testing.assert_allclose(100 * (np.abs(off) < half).mean(0), 90, atol=4 * np.sqrt(90 * 10 / 20_000))
 
 
+def test_a_jump_is_a_turn_of_more_than_ten_degrees_from_frame_to_frame():
+    """One body turns by 9, 11 and 2 degrees, the other one back by 15, 3 and 25."""
+    turns = np.radians([[0, 0], [9, -15], [20, -18], [22, -43]])
+    poses = np.zeros((4, 2, 7))
+    poses[..., 5], poses[..., 6] = np.sin(turns / 2), np.cos(turns / 2)
+    assert others._jumps(poses) == 3
+
+
 def test_the_page_counts_what_regions_hold_as_for_all_robots():
     page = json.loads((project_folder() / "notebooks/others.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in page["cells"] if cell["cell_type"] == "code"]

@@ -106,6 +106,11 @@ def test_numbers_are_finite_whatever_the_notebook_states(kind, text):
         )
 
 
+def test_numbers_are_as_large_as_a_float_allows():
+    assert tool.are_finite({"a": [1e307, -1e307]})
+    assert not tool.are_finite({"a": [-1e308]})
+
+
 def test_a_meaning_without_a_rule_allows_all():
     for meaning in ("poses at least 3 sigma inside", "one segment only", "a small part, for a quick look"):
         assert Parameter("x", "int", "0", meaning).rule == ""

@@ -226,6 +226,12 @@ def test_independent_errors_of_imus_move_a_straight_arm_by_the_rule():
     assert np.sqrt((off**2).mean()) == pytest.approx(0.01 * 0.64 / math.sqrt(2), rel=0.03)
 
 
+def test_a_rule_that_comes_out_whole_needs_no_imu_more_for_rounding():
+    """A curvature of 3/m moves the tip of 0.1 m by 15 mm: three IMUs for 5 mm, four for a little less."""
+    assert sensor_count.imu_rule(sensor_count.END, 0.1, 0.005, 3.0, 0.0) == 3
+    assert sensor_count.imu_rule(sensor_count.END, 0.1, 0.0049, 3.0, 0.0) == 4
+
+
 def test_needed_numbers_keep_the_tolerance_and_one_less_does_not(curves):
     table = sensor_count.imus_needed(curves, LIMITS[1:], [0.01, 0.04]).set_index(["model", "tolerance_mm"])
     assert (table["by_curves"].dropna() <= table["by_rule"][table["by_curves"].notna()]).all()

@@ -27,7 +27,7 @@ from repro import (
     simulated_readings,
     track,
 )
-from repro.check import _verdict, check_design, mirrored_chips
+from repro.check import _verdict, check_design, length_in_words, mirrored_chips
 from repro.networks import Network
 from repro_board import cli
 
@@ -172,6 +172,7 @@ def test_undetermined_combinations_are_said_in_words():
     assert check_design(plane).undetermined == ("combinations of delta_x_1 and delta_x_2",)
     both = check_design(at_the_tip.replaced(imus=[Imu(1, 0.1), Imu(2, 0.1)], noise=1e-3))
     assert both.undetermined == ("delta_L_1", "delta_L_2")
+    assert any(note.startswith("6 readings for 6 unknowns, none to spare") for note in both.notes)
     assert both.can_work  # the bounds hold what the IMUs leave open
     assert "(without readings ±112 mm)" in both.verdict
 
@@ -286,6 +287,26 @@ def test_a_reading_too_near_a_magnet_is_left_out_by_every_estimator_and_named():
         assert "left out, too close to a magnet: inside in 60 rows" in repr(found)
     with pytest.raises(InputError, match="inside of the robot must be farther from every magnet"):
         calibrate(robot, q[:30], u[:30])
+
+
+@pytest.mark.parametrize(("widest", "noted"), [(np.pi, False), (3.0, True)])
+def test_a_start_at_a_bound_is_noted_unless_the_angle_comes_round_there(widest, noted):
+    hinge = Robot(
+        [BallJoint("x"), Link(0.1)],
+        imus=[Imu(2, 0.1)],
+        lower=[-widest],
+        upper=[widest],
+        noise=0.1,
+        start=[widest],
+    )
+    assert any("starts at a bound" in note for note in check_design(hinge).notes) == noted
+
+
+@pytest.mark.parametrize(
+    ("std", "words"), [(0.0994, "±99 mm"), (0.0996, "±100 mm"), (0.999, "±999 mm"), (1.0, "not determined")]
+)
+def test_a_deviation_from_a_metre_on_determines_nothing(std, words):
+    assert length_in_words(std) == words
 
 
 @pytest.mark.parametrize(("information", "undetermined"), [(1.0, 1), (2.0, 1), (8.0, 0)])

@@ -117,7 +117,7 @@ def test_frames_that_a_header_announces_in_vain_are_counted(tmp_path):
         ("Position", "Place", "rigid bodies of a.csv must be there with rotation and position"),
         ("\n9,0.075000,", "\n9,,", "times of a.csv must be increasing from frame to frame"),
         ("\n9,0.075000,0.0", "\n9,0.075000,x", "frames of a.csv must be rows of numbers"),
-        ("\n9,0.075000,0.0", "\n9,0.075000,0.5", "quaternions of Ground of a.csv must be unit within 0.01"),
+        ("\n9,0.075000,0.0", "\n9,0.075000,0.2", "quaternions of Ground of a.csv must be unit within 0.01"),
     ],
 )  # fmt: skip
 def test_other_files_are_refused(tmp_path, old, new, message):

@@ -1,6 +1,7 @@
 """The rod against closed forms, its filter against an exact Kalman filter and stored answers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -192,6 +193,11 @@ def test_known_coordinates_are_kept():
     assert not estimate.covariance[[1, 4]].any()
     _, estimate = FILTER.step(state, np.full(9, np.nan), 0.1, known=[np.nan] * 4 + [0.3])
     assert estimate.q[4] == 0.3
+
+
+def test_a_sensor_at_the_tip_is_there_in_spite_of_rounding():
+    at_the_tip = RodFilter(Rod(0.3), [replace(POSE, arc_m=0.1 + 0.2)], 1.0, 1.0)
+    assert at_the_tip.sensors[0].arc_m > 0.3
 
 
 @pytest.mark.parametrize(
