@@ -41,7 +41,7 @@ from repro_companion.show import project_folder
 
 
 def rig_starts() -> pd.DataFrame:
-    """Return errors [mm] of the descent of Table 2 from starts that differ by rounding: half an hour.
+    """Return errors [mm] of the descent of Table 2 from starts that differ by rounding: five minutes.
 
     One row for each trajectory, seed, start and step, on the simulated rig: the published step, and half of it with
     twice the iterations.
@@ -167,7 +167,7 @@ EPOCHS = 60
 
 
 def bend_filter() -> pd.DataFrame:
-    """Return errors of the bend [mm] by our filter and by the paper's descent on seven robots: half an hour.
+    """Return errors of the bend [mm] by our filter and by the paper's descent on seven robots: six minutes.
 
     One row for each robot, recording and method: the simulated rig, the robots whose readings are the authors'
     networks (which it needs), and five random rigs. The descent starts at the truth and knows the elongation, our

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import pkgutil
 import re
@@ -20,6 +21,7 @@ from scripts.studies import STUDIES
 
 ROOT = Path(__file__).resolve().parents[2]
 INDEX = pd.read_csv(ROOT / "data/published/index.csv", dtype=str, keep_default_na=False)
+ARTEFACT = (ROOT / "book/artifact.md").read_text(encoding="utf-8")
 NOISE = pd.read_csv(ROOT / "data/studies/table_1_noise.csv")
 NETWORKS = pd.read_csv(ROOT / "data" / "studies" / "table_2_networks.csv")
 NUMBERED = {
@@ -315,9 +317,29 @@ def test_every_claim_has_a_line_with_a_page_and_its_command(written):
         assert re.search(r"\| [\d.]+\ss, [\d.]+\sMB \| ", line)
 
 
+def test_a_study_without_a_duration_is_a_copy_or_reads_files_of_others(written):
+    """And those that read the authors' networks are the ones that the page names."""
+    lines = re.findall(r"scripts/(\w+)\.py (\w+)` .* (\S+) \|$", written["artifact_studies.md"], re.MULTILINE)
+    sources = {name: inspect.getsource(study) for name, study in STUDIES.items()}
+    copies = {name for name, text in sources.items() if re.search("of_bend_tests|with_recordings", text)}
+    assert {name for script, name, takes in lines if takes == "–"} == copies | {*FETCHED}
+    assert len(copies) == 5
+    (named,) = re.findall(r"^The studies (.+) read the authors' networks", ARTEFACT, re.MULTILINE)
+    networks = {name for name, text in sources.items() if "released_networks.load_sensing" in text}
+    networks |= {name for name, text in sources.items() if "released_networks.robots" in text}
+    assert {*re.findall(r"`(\w+)`", named)} == networks
+    assert all(f"P={page}" in ARTEFACT for page in ("bend_tests", "imu_markers"))
+
+
+def test_a_rate_that_a_page_copies_moves_by_no_tolerance(written):
+    """It is measured by another command, on the computer that the benchmark names."""
+    (line,) = (one for one in written["artifact_claims.md"].splitlines() if "updates a second" in one)
+    assert line.endswith("| – |")
+
+
 def test_what_evaluators_are_given_can_be_typed(written):
     """Studies and commands; a test of all texts looks at the targets of make."""
-    text = (ROOT / "book/artifact.md").read_text(encoding="utf-8") + "".join(written.values())
+    text = ARTEFACT + "".join(written.values())
     included = re.findall(r"\{include\} generated/(artifact_.+)", text)
     assert sorted(included) == sorted(name for name in written if name.startswith("artifact_"))
     assert {*re.findall(r"python scripts/studies\.py (\w+)", text)} == {*STUDIES}
