@@ -210,9 +210,9 @@ BANDS = pd.DataFrame({
          "The slow trial chooses *estimated* with 3.0 mm, and *white* has 5.0 mm and *inflated* has 7.0 mm. This"),
         (lambda: toronto.sure_in_words(OFF, BANDS, "white", 0.9),
          "off by 5 to 8 mm along the arm in the trials that had no part in its settings, and by 3 mm in the slow "
-         "trial, on which we chose them. The ellipsoids of filter and smoother should cover 90 % of the positions. As "
-         "stated, they cover 25 %, with semi-axes of 0.2 to 4 mm. We widen them until they cover 90 % in the slow trial. In the others they "
-         "then cover 80 %, with semi-axes of 8 to 20 mm."),
+         "trial, on which we chose them. The ellipsoids of filter and smoother should cover 90 % of the positions. "
+         "As stated, they cover 25 %, with semi-axes of 0.2 to 4 mm. We widen them until they cover 90 % in the slow "
+         "trial. In the others they then cover 80 %, with semi-axes of 8 to 20 mm."),
     ],
 )  # fmt: skip
 def test_a_sentence_says_what_its_table_has(sentence, words):

@@ -552,8 +552,8 @@ our smoother has {{ sizes[2] }} against {{ sizes[3] }}, and {{ sizes[6] }} again
 SURE = """
 **How sure can one be?** With calibrated trackers our smoother is off by {{ off }} mm along the arm in the trials that
 had no part in its settings, and by {{ slow }} mm in the slow trial, on which we chose them. The ellipsoids of filter
-and smoother should cover {{ level }} % of the positions. As stated, they cover {{ stated.covered }}, with semi-axes of
-{{ stated.axes }} mm. We widen them until they cover {{ level }} % in the slow trial. In the others they then cover
+and smoother should cover {{ level }} % of the positions. As stated, they cover {{ stated.covered }}, with semi-axes
+of {{ stated.axes }} mm. We widen them until they cover {{ level }} % in the slow trial. In the others they then cover
 {{ widened.covered }}, with semi-axes of {{ widened.axes }} mm.
 """
 
