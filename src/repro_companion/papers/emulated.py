@@ -133,7 +133,7 @@ FAILURES = {
 
 
 FAILURES_IN_WORDS = """
-**What to see.** If one of four chips fails, the error of the tip grows from {{ healthy | two }} to at most
+**What to see.** If one of four chips fails, the median error of the tip grows from {{ healthy | two }} to at most
 {{ four | two }} mm. If one of two chips fails, the rest does not determine the shape: the error grows to
 {{ two | two }} mm at most, and a stated ± of {{ stated | two }} mm or more says so. The monitor names a chip that
 goes on sending in {{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
