@@ -66,9 +66,7 @@ def of_closed_loop(run: Run) -> None:
 
 def of_drift(run: Run) -> None:
     """With three times the drift the error grows a little, and the filter states more than it has."""
-    error, normalised = map(
-        float, re.findall(r"drift in the state +([\d.]+) % +([\d.]+)", run.printed())[0]
-    )
+    error, normalised = map(float, re.findall(r"drift in the state +([\d.]+) % +([\d.]+)", run.printed())[0])
     usual = run.book("forty_five_minutes").query("method == 'self-calibrating'")
     assert 1.1 < error / usual["tip_rmse_percent"].mean() < 1.4
     assert normalised < 0.5 * usual["nees"].mean()
