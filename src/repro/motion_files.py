@@ -22,7 +22,8 @@ from repro.estimators.calibration import outside
 from repro.estimators.fit_shape import fit_shape, measured_poses, places_of
 from repro.lines import SI
 from repro.parts import Assembly
-from repro.tables import POSITION_FIRST, Table, bodies_of, configurations_of, read_table, text_of
+from repro.readings import POSITION_FIRST, bodies_of, configurations_of
+from repro.tables import Table, read_table, text_of
 
 _SHOWN = 200
 """Shapes by which the axes of the base are found."""

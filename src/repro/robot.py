@@ -11,8 +11,8 @@ from repro.common import ArrayLike, require
 from repro.improve import Improvement, improve_design
 from repro.parts import Assembly
 from repro.plots import plot_robot
+from repro.readings import Readings, read_readings
 from repro.sensing import Sensing, sensing_of
-from repro.tables import Readings, read_readings
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -24,9 +24,10 @@ from repro.estimators.least_squares import LevenbergMarquardt
 from repro.estimators.track import Trajectory, track
 from repro.estimators.track import smooth as smoothed
 from repro.motion_files import Poses, read_poses
+from repro.readings import Readings
 from repro.robot import Robot
 from repro.robot_file import load_robot
-from repro.tables import Readings, read_table
+from repro.tables import read_table
 from repro_board.calibrations import TOLERANCES, by_motion, with_poses
 from repro_board.cleaning import averaged, complete, frozen, repeats, unwrapped, without_spikes
 from repro_board.export import table_of

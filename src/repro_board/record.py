@@ -42,8 +42,8 @@ from zlib import crc32
 import numpy as np
 
 from repro.common import Array, require, whole
+from repro.readings import Readings, read_readings
 from repro.robot import Robot
-from repro.tables import Readings, read_readings
 from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
 from repro_board.wire import FORMATS, Parser, Sample
 

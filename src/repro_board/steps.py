@@ -11,17 +11,8 @@ import numpy as np
 
 from repro import Robot
 from repro.common import Array, InputError, require
-from repro.tables import (
-    Columns,
-    Table,
-    check_orientations,
-    columns_of,
-    cut_turn,
-    losses,
-    rows_of,
-    spread,
-    taken_in_order,
-)
+from repro.readings import Columns, check_orientations, columns_of, losses, rows_of, taken_in_order
+from repro.tables import Table, cut_turn, spread
 from repro_board.wire import WRAP, Parser, Sample
 
 _NUMBERED = re.compile(r"(u|ch|channel|sensor)[ _]?[0-9]+", re.IGNORECASE)

@@ -33,8 +33,9 @@ from repro.estimators.base import evenly, information_of_bounds
 from repro.estimators.gauss_newton import Fit, Trial, gauss_newton
 from repro.estimators.track import with_bar
 from repro.parts import Assembly, Source
+from repro.readings import Readings, configurations_of, read_readings
 from repro.sensing import Sensing, sensing_of
-from repro.tables import Readings, configurations_of, read_readings, read_table
+from repro.tables import read_table
 from repro.tolerances import Described, Tolerances, in_words, placed, priors_of, slopes_of
 
 _MOST, _OUTLIER, _FARTHEST = 4.0, 5.0, 10.0

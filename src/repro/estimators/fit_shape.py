@@ -26,8 +26,9 @@ from repro.estimators.gauss_newton import Trial, eliminated, gauss_newton
 from repro.estimators.least_squares import CHI2, USED, LevenbergMarquardt
 from repro.estimators.track import Trajectory
 from repro.parts import Assembly, Mounted
+from repro.readings import POSITION_FIRST, bodies_of
 from repro.sensing import batch_difference
-from repro.tables import POSITION_FIRST, bodies_of, read_table
+from repro.tables import read_table
 
 _RIG_POSITION, _RIG_ROTATION = 10e-3, 0.2
 """Priors of a frame's place and rotation [m, rad]; those of an unknown base are a hundred times as wide."""

@@ -16,7 +16,7 @@ from repro.estimators.kalman import MotionModel, smoothed
 from repro.estimators.monitor import SAID, STATUS, TRUSTED, Monitor
 from repro.parts import Assembly
 from repro.plots import plot_shape
-from repro.tables import read_readings
+from repro.readings import read_readings
 
 _FITTING = tuple(STATUS[number] for number in TRUSTED)
 """What the monitor says of rows whose readings fit, by name."""
