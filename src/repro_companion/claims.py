@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from repro_companion.show import number, rendered
+from repro_companion.show import rendered
 
 CLAIMS = Path("data/published/claims.csv")
 """Claims with the section that makes them; {...} in what we find names a number."""
@@ -23,7 +23,10 @@ def claims_of(root: Path, card: pd.DataFrame, home: Mapping[str, str]) -> pd.Dat
 
 
 def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
-    """Return a text with its numbers: {name} of the home page, {artefact|row|quantity|unit} of the scorecard."""
+    """Return a text with its numbers: {name} of the home page, {artefact|row|quantity|unit} of the scorecard.
+
+    These have the decimals of the published number, as in the tables below a claim, but at most three digits.
+    """
 
     def value(match: re.Match[str]) -> str:
         name, *rest = match[1].split("|")
@@ -38,7 +41,8 @@ def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
         ]
         if len(chosen) != 1:
             raise ValueError(f"{CLAIMS} names {match[0]}, which is {len(chosen)} rows of the scorecard.")
-        return number(float(f"{pd.to_numeric(chosen['regenerated']).iloc[0]:.2g}"), 2)
+        found, decimals = float(chosen["regenerated"].iloc[0]), len(chosen["published"].iloc[0].partition(".")[2])
+        return f"{float(f'{found:.3g}'):.{decimals}f}"
 
     return NUMBER.sub(value, text)
 
