@@ -281,6 +281,8 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) ->
     ours = card[card["paper"] == "baaij2023"]
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
     return {
+        "home.reproduced": number(tally["reproduced"]),
+        "home.again": number(tally["printed again"]),
         "home.compared": number(tally.drop(["not comparable", "missing"]).sum(skipna=False)),
         "home.outside": number(tally[["better", "differs"]].sum(skipna=False)),
         "home.smaller": number(tally["better"]),
