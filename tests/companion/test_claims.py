@@ -57,6 +57,22 @@ def test_what_a_claim_says_of_one_point_is_in_the_table_of_chains():
     assert said in (ROOT / claims.CLAIMS).read_text()
 
 
+def test_what_a_claim_says_of_the_bend_tests_is_in_their_tables():
+    """These numbers are of no row of the scorecard either."""
+    medians = pd.read_csv(ROOT / "results" / "bend_tests_medians.csv", index_col="name")
+    names = [f"paper's filter, as released, {mm} mm" for mm in (13, 15)] + ["ratios, calibrated on other tests"]
+    (y, z), (longer, _), (ratios_y, ratios_z) = medians.loc[names, ["rmse_deg", "rmse_tilt_z_deg"]].to_numpy()
+    events = pd.read_csv(ROOT / "results" / "light_bulb_counts.csv").query("frozen").iloc[0]
+    text = (ROOT / claims.CLAIMS).read_text()
+    for said in (
+        f"the filter as released has a median error of {y:.0f}° and calibrated ratios have {ratios_y:.1f}°",
+        f"the filter has {z:.1f}° and the ratios {ratios_z:.1f}°",
+        f"comes to {longer:.1f}° against y",
+        "our detector finds {light_0}, {light_1} and {light_2} events".format(**events),
+    ):
+        assert said in text
+
+
 def test_a_page_has_its_own_claims_and_the_home_page_the_headlines():
     """A table has a line for each claim; a page without claims has none."""
     found = pd.DataFrame(

@@ -382,6 +382,41 @@ def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
     assert found.loc["readings: mean 3.1", "here"] == f"{200 / np.ptp(data.tests['T0'].u):.1f}"
 
 
+def test_claims_compare_means_of_the_same_motions(data):
+    """Where a table lacks T4, its mean stands beside the means of the others without T4."""
+    printed = published("baaij2023", "Table 2")
+    without = printed.assign(elongation="known", error=printed["value"]).query("row != 'T5.train->T4'")
+    found = table_2.claims(printed, {"here": without}).set_index("claim")
+    assert found.loc["bend: mean 4.5"].tolist() == ["4.5", "–"]
+    assert found.loc["bend: mean without T4"].tolist() == ["4.9", "4.9"]
+    assert found.loc["readings: mean without T4"].tolist() == ["3.6", "3.6"]
+
+
+class Squares:
+    """Readings of the square of one bend and of the other bend [mV]: two valleys, on either side of zero."""
+
+    def __call__(self, q):
+        return np.stack([1.6e6 * q[:, 0] ** 2, 2e4 * q[:, 1], 0 * q[:, 0]], axis=-1)
+
+    def linearise(self, q):
+        J = np.zeros((len(q), 3, 3))
+        J[:, 0, 0], J[:, 1, 1] = 3.2e6 * q[:, 0], 2e4
+        return self(q), J
+
+
+def test_estimates_in_another_valley_are_counted():
+    """One is close, one comes back, one stays where the loss is as low, and one where it is lower than at the truth."""
+    q = np.tile([1e-2, 0.0, 0.0], (4, 1))
+    estimates, measured = q.copy(), q.copy()
+    estimates[:, 0], measured[:, 0] = [1.2e-2, 1.6e-2, -1.1e-2, -2e-2], [1e-2, 1e-2, 1e-2, 2e-2]
+    words = table_2.trapped_in_words([Squares()], q, Squares()(measured), estimates[:, None])
+    assert "We take the 3 estimates that are more than 5 mm off" in words
+    assert "1,000 steps of 1/20 of the size. 2 of them still end more than 5 mm off, in another valley" in words
+    assert "lower than the loss at the true bend in 1 of these 2." in words
+    assert "a descent from a single start" not in words
+    assert not table_2.trapped_in_words([Squares()], q[:1], Squares()(measured[:1]), estimates[:1, None])
+
+
 def test_bends_away_from_a_recording_are_outside(data):
     q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
     assert table_2.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
