@@ -41,7 +41,10 @@ def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
         ]
         if len(chosen) != 1:
             raise ValueError(f"{CLAIMS} names {match[0]}, which is {len(chosen)} rows of the scorecard.")
-        found, decimals = float(chosen["regenerated"].iloc[0]), len(chosen["published"].iloc[0].partition(".")[2])
+        found, decimals = (
+            float(chosen["regenerated"].iloc[0]),
+            len(chosen["published"].iloc[0].partition(".")[2]),
+        )
         return f"{float(f'{found:.3g}'):.{decimals}f}"
 
     return NUMBER.sub(value, text)

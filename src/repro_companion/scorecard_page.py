@@ -282,11 +282,9 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) ->
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
     return {
         "home.reproduced": number(tally["reproduced"]),
-        "home.again": number(tally["printed again"]),
         "home.compared": number(tally.drop(["not comparable", "missing"]).sum(skipna=False)),
         "home.outside": number(tally[["better", "differs"]].sum(skipna=False)),
         "home.smaller": number(tally["better"]),
-        "home.weak": number(tally["weak"]),
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),

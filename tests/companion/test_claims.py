@@ -60,7 +60,9 @@ def test_what_a_claim_says_of_one_point_is_in_the_table_of_chains():
 def test_what_a_claim_says_of_the_bend_tests_is_in_their_tables():
     """These numbers are of no row of the scorecard either."""
     medians = pd.read_csv(ROOT / "results" / "bend_tests_medians.csv", index_col="name")
-    names = [f"paper's filter, as released, {mm} mm" for mm in (13, 15)] + ["ratios, calibrated on other tests"]
+    names = [f"paper's filter, as released, {mm} mm" for mm in (13, 15)] + [
+        "ratios, calibrated on other tests"
+    ]
     (y, z), (longer, _), (ratios_y, ratios_z) = medians.loc[names, ["rmse_deg", "rmse_tilt_z_deg"]].to_numpy()
     events = pd.read_csv(ROOT / "results" / "light_bulb_counts.csv").query("frozen").iloc[0]
     text = (ROOT / claims.CLAIMS).read_text()

@@ -405,13 +405,15 @@ class Squares:
 
 
 def test_estimates_in_another_valley_are_counted():
-    """One is close, one comes back, one stays where the loss is as low, and one where it is lower than at the truth."""
+    """One is close, one comes back, one stays where the loss is as low, one where it is lower than at the truth."""
     q = np.tile([1e-2, 0.0, 0.0], (4, 1))
     estimates, measured = q.copy(), q.copy()
     estimates[:, 0], measured[:, 0] = [1.2e-2, 1.6e-2, -1.1e-2, -2e-2], [1e-2, 1e-2, 1e-2, 2e-2]
     words = table_2.trapped_in_words([Squares()], q, Squares()(measured), estimates[:, None])
     assert "We take the 3 estimates that are more than 5 mm off" in words
-    assert "1,000 steps of 1/20 of the size. 2 of them still end more than 5 mm off, in another valley" in words
+    assert (
+        "1,000 steps of 1/20 of the size. 2 of them still end more than 5 mm off, in another valley" in words
+    )
     assert "lower than the loss at the true bend in 1 of these 2." in words
     assert "a descent from a single start" not in words
     assert not table_2.trapped_in_words([Squares()], q[:1], Squares()(measured[:1]), estimates[:1, None])

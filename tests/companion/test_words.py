@@ -184,8 +184,8 @@ BANDS = pd.DataFrame({
          "six of the frame, and three of each IMU. The frame alone brings it to 10 mm. Our synthetic sensors err"),
         (lambda: martin.calibration_in_words(GAINS, 30, False), "the authors' trial. *Not calibrated* has no frame"),
         (lambda: failure.cost_in_words(FAILED, COSTS),
-         "**Our 2 trainings cannot tell whether the failure costs accuracy.** The mean error is 3.0 % with the failure "
-         "and 2.0 % without it, and it grows with 1 of our 2 networks. On average it changes by +0.7 percentage "
+         "**Our 2 trainings cannot tell whether the failure costs accuracy.** The mean error is 3.0 % with the "
+         "failure and 2.0 % without it, and it grows with 1 of our 2 networks. On average it changes by +0.7 percentage "
          "points, with a standard error of 0.7; we speak of a loss only beyond three standard errors. The bend in y "
          "suffers most, from 3.0 to 4.5 %. The networks that the authors released have 3.9 %"),
         # The means change by 4/3 and 1, so by 7/6 with a standard error of 1/6.

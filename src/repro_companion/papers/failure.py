@@ -99,16 +99,16 @@ def cost(errors: pd.DataFrame) -> pd.DataFrame:
 
 COST = """
 **{% if clear > 0 %}The failure costs accuracy.{% elif clear < 0 %}With the failure the errors are smaller.{% else %}
-{{ "One training" if networks == 1 else "Our " ~ networks ~ " trainings" }} cannot tell whether the failure costs accuracy.
-{%- endif %}** The mean error is {{ failed }} %
+{{ "One training" if networks == 1 else "Our " ~ networks ~ " trainings" }} cannot tell whether the failure costs
+accuracy.{% endif %}** The mean error is {{ failed }} %
 {{ "with and without the failure" if failed == whole else "with the failure and " ~ whole ~ " % without it" }},
 and it grows with {{ worse }} of our {{ networks }} network{{ "s" if networks > 1 }}.
 {% if networks > 1 %}
 On average it changes by {{ change }} percentage points, with a standard error of {{ error }}; we speak of a
 {{ "loss" if clear >= 0 else "gain" }} only beyond three standard errors.
 {% endif %}
-The {{ most }} suffers most, from {{ rise[0] | fixed(1) }} to {{ rise[1] | fixed(1) }} %. The networks that the authors
-released have {{ authors | fixed(1) }} % after the failure; we have no run of theirs without it.
+The {{ most }} suffers most, from {{ rise[0] | fixed(1) }} to {{ rise[1] | fixed(1) }} %. The networks that the
+authors released have {{ authors | fixed(1) }} % after the failure; we have no run of theirs without it.
 """
 
 

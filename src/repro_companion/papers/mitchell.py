@@ -1121,17 +1121,17 @@ WORTH = """
 {% macro closer(of) %}{{ "the ratios" if of[0] < of[1] else "the filter" }}{% endmacro %}
 **{{ "Against either tilt of the body " ~ closer(y) ~ " came closer to motion capture"
 if closer(y) == closer(z) else "Which method is closer to motion capture depends on what we call the bend" }}.**
-If it is the tilt of the body's *y* axis, the ratios, calibrated on other recordings, have an error of {{ y[0] | two }}°,
-and the paper's filter as released has {{ y[1] | two }}°. If it is the tilt of *z*, as in the released code, the ratios
-have {{ z[0] | two }}° and the filter has {{ z[1] | two }}°. We take *y*, because the body moves to where *y* tilts. We
-also calibrate on it, which favours our ratios.
+If it is the tilt of the body's *y* axis, the ratios, calibrated on other recordings, have an error of
+{{ y[0] | two }}°, and the paper's filter as released has {{ y[1] | two }}°. If it is the tilt of *z*, as in the
+released code, the ratios have {{ z[0] | two }}° and the filter has {{ z[1] | two }}°. We take *y*, because the body
+moves to where *y* tilts. We also calibrate on it, which favours our ratios.
 {% if alike %}
 In {{ alike }} of the takes the choice hardly matters to the filter. There the ratios have an error of
 {{ there[0] | two }}° and the filter {{ there[1] | two }}°.
 {% endif %}
 If we give the filter an arc of 15 mm, it comes to {{ y[2] | two }}° for *y* and {{ z[2] | two }}° for *z* without any
-calibration; we explain below why. All these are medians over {{ takes }} of the 12 recorded takes. The paper prints no
-errors for Fig. 9. *All numbers* has all {{ methods }} methods.
+calibration; we explain below why. All these are medians over {{ takes }} of the 12 recorded takes. The paper prints
+no errors for Fig. 9. *All numbers* has all {{ methods }} methods.
 """
 
 

@@ -564,8 +564,8 @@ FAR_OFF = 5e-3
 """From here on [m] an estimate counts as far off."""
 TRAPPED = """
 **T5.** We take the {{ far }} estimates that are more than {{ limit }} mm off, and go on from each with {{ steps }}
-steps of 1/{{ shorter }} of the size. {{ stay or "None" }} of them still {{ "ends" if stay == 1 else "end" }} more than
-{{ limit }} mm off{{ ", in another valley of the loss" if stay }}.
+steps of 1/{{ shorter }} of the size. {{ stay or "None" }} of them still {{ "ends" if stay == 1 else "end" }} more
+than {{ limit }} mm off{{ ", in another valley of the loss" if stay }}.
 {% if stay %}
 The floor of this valley is lower than the loss at the true bend in {{ deeper or "none" }} of these {{ stay }}.
 {{ "So the readings mostly tell the valleys apart, but a descent from a single start does not see the better one."
@@ -593,10 +593,12 @@ def trapped_in_words(
         stay = np.linalg.norm((ends - truth)[:, :2], axis=1) > FAR_OFF
         deeper = loss(sensing, ends, readings)[stay] < loss(sensing, truth, readings)[stay]
         counts += far.sum(), stay.sum(), deeper.sum()
-    numbers = dict(zip(("far", "stay", "deeper"), counts.tolist(), strict=True))
-    if not numbers["far"]:
+    if not counts[0]:
         return ""
-    return show.sentences(TRAPPED, **numbers, steps=f"{steps:,}", shorter=shorter, limit=f"{1e3 * FAR_OFF:.0f}")
+    numbers = dict(zip(("far", "stay", "deeper"), counts.tolist(), strict=True))
+    return show.sentences(
+        TRAPPED, **numbers, steps=f"{steps:,}", shorter=shorter, limit=f"{1e3 * FAR_OFF:.0f}"
+    )
 
 
 def why_lost(ranges: pd.DataFrame, errors: pd.DataFrame, sensing: Sensing, seconds: float) -> str:
