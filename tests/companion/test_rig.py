@@ -317,10 +317,11 @@ def test_the_largest_jump_is_replayed_iterate_by_iterate(data):
     tried = path[["delta_x_mm", "delta_y_mm"]].to_numpy()
     np.testing.assert_allclose(tried[0], bends[k - 1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(tried[path["rmse_mV"].argmin()], bends[k], rtol=0, atol=1e-6)
-    first = half[["delta_x_mm", "delta_y_mm"]].to_numpy()[:2]
-    np.testing.assert_allclose(2 * (first[1] - first[0]), tried[1] - tried[0], rtol=1e-9)
+    halved = half[["delta_x_mm", "delta_y_mm"]].to_numpy()
+    np.testing.assert_allclose(2 * (halved[1] - halved[0]), tried[1] - tried[0], rtol=1e-9)
+    drawn = np.concatenate([bends, tried, halved])  # no path leaves the map
     low, high = grid[["delta_x_mm", "delta_y_mm"]].min(), grid[["delta_x_mm", "delta_y_mm"]].max()
-    np.testing.assert_allclose((bends.min(0) - low, high - bends.max(0)), 5.0, rtol=1e-9)
+    np.testing.assert_allclose((drawn.min(0) - low, high - drawn.max(0)), 2.0, rtol=1e-9)
 
 
 def study(robot, method, error, **shares):

@@ -185,9 +185,9 @@ BANDS = pd.DataFrame({
         (lambda: martin.calibration_in_words(GAINS, 30, False), "the authors' trial. *Not calibrated* has no frame"),
         (lambda: failure.cost_in_words(FAILED, COSTS),
          "**Our 2 trainings cannot tell whether the failure costs accuracy.** The mean error is 3.0 % with the "
-         "failure and 2.0 % without it, and it grows with 1 of our 2 networks. On average it changes by +0.7 percentage "
-         "points, with a standard error of 0.7; we speak of a loss only beyond three standard errors. The bend in y "
-         "suffers most, from 3.0 to 4.5 %. The networks that the authors released have 3.9 %"),
+         "failure and 2.0 % without it, and it grows with 1 of our 2 networks. On average it changes by +0.7 "
+         "percentage points, with a standard error of 0.7; we speak of a loss only beyond three standard errors. "
+         "The bend in y suffers most, from 3.0 to 4.5 %. The networks that the authors released have 3.9 %"),
         # The means change by 4/3 and 1, so by 7/6 with a standard error of 1/6.
         (lambda: failure.cost_in_words(FAILED.assign(error_percent=FAILED["error_percent"] + 3 * (
             (FAILED["member"] == 1) & (FAILED["run"] == "failure") & (FAILED["quantity"] == "delta_x_1"))), COSTS),
