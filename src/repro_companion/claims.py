@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from repro_companion.show import rendered
+from repro_companion.show import number, rendered
 
 CLAIMS = Path("data/published/claims.csv")
 """Claims with the section that makes them; {...} in what we find names a number."""
@@ -25,7 +25,7 @@ def claims_of(root: Path, card: pd.DataFrame, home: Mapping[str, str]) -> pd.Dat
 def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
     """Return a text with its numbers: {name} of the home page, {artefact|row|quantity|unit} of the scorecard.
 
-    These have the decimals of the published number, as in the tables below a claim, but at most three digits.
+    These have two digits; from ten on at most three, with the decimals of print, as in the tables below.
     """
 
     def value(match: re.Match[str]) -> str:
@@ -41,11 +41,9 @@ def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
         ]
         if len(chosen) != 1:
             raise ValueError(f"{CLAIMS} names {match[0]}, which is {len(chosen)} rows of the scorecard.")
-        found, decimals = (
-            float(chosen["regenerated"].iloc[0]),
-            len(chosen["published"].iloc[0].partition(".")[2]),
-        )
-        return f"{float(f'{found:.3g}'):.{decimals}f}"
+        found = float(chosen["regenerated"].iloc[0])
+        decimals = len(chosen["published"].iloc[0].partition(".")[2])
+        return number(found, 2) if abs(found) < 10 else f"{float(f'{found:.3g}'):.{decimals}f}"
 
     return NUMBER.sub(value, text)
 

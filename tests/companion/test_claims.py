@@ -22,9 +22,9 @@ CARD = pd.DataFrame(
 
 
 def test_a_number_stands_where_it_is_named():
-    """By its name on the home page, or by its row of the scorecard, with as many decimals as published."""
+    """By its name on the home page, or by its row of the scorecard, with two digits or, from ten on, as published."""
     text = claims.filled("{A|r|q|%} % of {home.x}, not {A|r|p|%} or {A|r|s|%}", CARD, {"home.x": "7"})
-    assert text == "0.03 % of 7, not 12.0 or 4320"
+    assert text == "0.025 % of 7, not 12.0 or 4320"
 
 
 def test_a_name_without_a_number_is_refused():
