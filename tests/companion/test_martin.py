@@ -234,7 +234,8 @@ def test_chains_beside_what_table_ii_prints(table):
     assert "**On our synthetic arm the place of evaluation matters more" in words
     assert "**In the authors' trial the place" in martin.chains_in_words(apart, table, synthetic=False)
     assert (
-        "40 mm with 20 mm, 50 % less. At the same point it would be 16.0 mm with 20.0 mm, 25 % more." in words
+        "40.0 mm with 20.0 mm, 50 % less. At the same point it would be 16.0 mm with 20.0 mm, 25 % more."
+        in words
     )
     assert "53 mm if it ends at its IMU, as in the text, and 19 mm if the IMU is in its middle." in words
 

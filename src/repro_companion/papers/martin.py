@@ -603,7 +603,7 @@ Median errors in mm, 40 mm *before* each marker and *at* it.
 choice between the two models of Table II.**
 {% endif %}
 They stand in the third and the last row, but at different points. At M1 this compares
-{{ before | fixed(0) }} mm with {{ fine | fixed(0) }} mm, {{ apart | percent_less }}. At the same point it would be
+{{ before | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ apart | percent_less }}. At the same point it would be
 {{ here | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ together | percent_less }}. The paper states about 25 %
 less. Where a *rigid* link sits matters more: {{ ends | fixed(0) }} mm if it ends at its IMU, as in the text, and
 {{ middle | fixed(0) }} mm if the IMU is in its middle.
