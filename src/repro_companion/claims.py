@@ -23,7 +23,10 @@ def claims_of(root: Path, card: pd.DataFrame, home: Mapping[str, str]) -> pd.Dat
 
 
 def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
-    """Return a text with its numbers: {name} of the home page, {artefact|row|quantity|unit} of the scorecard."""
+    """Return a text with its numbers: {name} of the home page, {artefact|row|quantity|unit} of the scorecard.
+
+    These have two digits; from ten on at most three, with the decimals of print, as in the tables below.
+    """
 
     def value(match: re.Match[str]) -> str:
         name, *rest = match[1].split("|")
@@ -38,7 +41,9 @@ def filled(text: str, card: pd.DataFrame, home: Mapping[str, str]) -> str:
         ]
         if len(chosen) != 1:
             raise ValueError(f"{CLAIMS} names {match[0]}, which is {len(chosen)} rows of the scorecard.")
-        return number(float(f"{pd.to_numeric(chosen['regenerated']).iloc[0]:.2g}"), 2)
+        found = float(chosen["regenerated"].iloc[0])
+        decimals = len(chosen["published"].iloc[0].partition(".")[2])
+        return number(found, 2) if abs(found) < 10 else f"{float(f'{found:.3g}'):.{decimals}f}"
 
     return NUMBER.sub(value, text)
 

@@ -276,19 +276,22 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) ->
     rig, robots = (
         (errors / table_2["published"]).groupby("row").mean() for errors in (table_2["regenerated"], errors)
     )
+    motions = [row.rpartition("->")[2].partition(".")[0] for row in rig.sort_values().index] or ["–"]
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
     ours = card[card["paper"] == "baaij2023"]
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
     return {
+        "home.reproduced": number(tally["reproduced"]),
         "home.compared": number(tally.drop(["not comparable", "missing"]).sum(skipna=False)),
         "home.outside": number(tally[["better", "differs"]].sum(skipna=False)),
         "home.smaller": number(tally["better"]),
-        "home.weak": number(tally["weak"]),
         "home.ring_paper": number(ring["regenerated"].mean(), 1),
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
         "home.rig_least": number(rig.min(), 2),
+        "home.rig_least_on": motions[0],
         "home.rig_most": number(rig.max(), 2),
+        "home.rig_most_on": motions[-1],
         "home.networks_least": number(robots.min(), 2),
         "home.networks_most": number(robots.max(), 2),
         "home.bend_paper": number(bend["regenerated"].mean(), 1),

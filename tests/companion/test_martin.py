@@ -230,9 +230,12 @@ def test_chains_beside_what_table_ii_prints(table):
     apart = martin.chains_at_points(dict(zip(names, numbers, strict=True)))
     shown = martin.chains_shown(apart, martin.printed_numbers()["Table II"])
     assert list(shown["Table II"]) == ["–", "–", "48, 71 before", "37, 55 at"]
-    words = martin.chains_in_words(apart, table)
+    words = martin.chains_in_words(apart, table, synthetic=True)
+    assert "**On our synthetic arm the place of evaluation matters more" in words
+    assert "**In the authors' trial the place" in martin.chains_in_words(apart, table, synthetic=False)
     assert (
-        "40 mm with 20 mm, 50 % less. At the same point it would be 16.0 mm with 20.0 mm, 25 % more." in words
+        "40.0 mm with 20.0 mm, 50 % less. At the same point it would be 16.0 mm with 20.0 mm, 25 % more."
+        in words
     )
     assert "53 mm if it ends at its IMU, as in the text, and 19 mm if the IMU is in its middle." in words
 

@@ -815,13 +815,17 @@ def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
 def affine_agreement(beside_print: pd.DataFrame) -> str:
     """Return the relative errors of section 4.4, ours and the published ones in brackets, as sentences."""
     relative = beside_print[beside_print["error of"].str.endswith("[%]")]
-    agree = "agree" if relative["verdict"].str.contains("reproduced").all() else "do not all agree"
-    relative = relative.map(lambda text: text.split()[0])
-    weak = " and ".join(relative.loc[relative["verdict"] == "weak", "error of"])
-    *first, last = (
-        f"{ours} ({printed}) % for {name}" for name, printed, ours, _ in relative.itertuples(index=False)
+    agrees = relative["verdict"].str.contains("reproduced")
+    words = relative.map(lambda text: text.split()[0])
+    apart = " and ".join(words.loc[~agrees, "error of"])
+    weak = " and ".join(words.loc[agrees & (words["verdict"] == "weak"), "error of"])
+    *most, last = (
+        f"{ours} ({printed}) % for {name}" for name, printed, ours, _ in words.itertuples(index=False)
     )
     return (
-        f"Our errors {agree} with the published ones: {', '.join(first)} and {last}, published in brackets."
-        + f" For {weak} the agreement is weak." * bool(weak)
+        ("Our errors agree" if agrees.any() else "None of our errors agrees")
+        + " with the published ones"
+        + f", except for {apart}" * bool(apart and agrees.any())
+        + f": {', '.join(most)} and {last}, published in brackets."
+        + f" For {weak} the agreement says little, because an error of zero would agree, too." * bool(weak)
     )

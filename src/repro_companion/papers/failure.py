@@ -98,11 +98,17 @@ def cost(errors: pd.DataFrame) -> pd.DataFrame:
 
 
 COST = """
-**{{ "No clear loss" if worse < networks else "The failure costs accuracy" }}.** The mean error is {{ failed }} %
+**{% if clear > 0 %}The failure costs accuracy.{% elif clear < 0 %}With the failure the errors are smaller.{% else %}
+{{ "One training" if networks == 1 else "Our " ~ networks ~ " trainings" }} cannot tell whether the failure costs
+accuracy.{% endif %}** The mean error is {{ failed }} %
 {{ "with and without the failure" if failed == whole else "with the failure and " ~ whole ~ " % without it" }},
-and it grows with {{ worse }} of our {{ networks }} network{{ "s" if networks > 1 }}. The {{ most }} suffers most,
-from {{ rise[0] | fixed(1) }} to {{ rise[1] | fixed(1) }} %. The networks that the authors released have
-{{ authors | fixed(1) }} % after the failure; we have no run of theirs without it.
+and it grows with {{ worse }} of our {{ networks }} network{{ "s" if networks > 1 }}.
+{% if networks > 1 %}
+On average it changes by {{ change }} percentage points, with a standard error of {{ error }}; we speak of a
+{{ "loss" if clear >= 0 else "gain" }} only beyond three standard errors.
+{% endif %}
+The {{ most }} suffers most, from {{ rise[0] | fixed(1) }} to {{ rise[1] | fixed(1) }} %. The networks that the
+authors released have {{ authors | fixed(1) }} % after the failure; we have no run of theirs without it.
 """
 
 
@@ -114,8 +120,11 @@ def cost_in_words(errors: pd.DataFrame, means: pd.DataFrame) -> str:
     failed, whole = (f"{mean[name]:.1f}" for name in ("after_percent", "all_sensors_percent"))
     sizes = {"failed": failed, "whole": whole, "authors": mean["authors_after_percent"]}
     sizes["rise"] = [kinds[run].mean(axis=1)[most] for run in ("all sensors", "failure")]
-    worse = int((change.loc["mean"] > 0).sum())
-    return sentences(COST, most=most, worse=worse, networks=change.shape[1], **sizes)
+    own = change.loc["mean"]
+    worse, error = int((own > 0).sum()), float(own.sem())
+    clear = int(np.sign(own.mean())) if abs(own.mean()) > 3 * error else 0
+    sizes |= {"change": f"{own.mean():+.1f}".replace("-", "−"), "error": f"{error:.1f}"}
+    return sentences(COST, most=most, worse=worse, networks=len(own), clear=clear, **sizes)
 
 
 # Is a failure noticed?

@@ -403,7 +403,7 @@ def chains_shown(apart: pd.DataFrame, printed: pd.DataFrame) -> pd.DataFrame:
     return shown.assign(**{"Table II": [in_print.get(name, "–") for name in apart["chain"]]})
 
 
-def chains_in_words(apart: pd.DataFrame, table: pd.DataFrame) -> str:
+def chains_in_words(apart: pd.DataFrame, table: pd.DataFrame, synthetic: bool) -> str:
     """Return what the chains and their points do to the error, and how it goes with the number of IMUs."""
     medians = apart.set_index("chain")
     before, here = (medians.loc["8 interpolated links", c] for c in ("before_m1_mm", "m1_mm"))
@@ -416,7 +416,8 @@ def chains_in_words(apart: pd.DataFrame, table: pd.DataFrame) -> str:
     sizes = ", ".join(f"{x:.0f} mm with {count} IMUs" for count, x in described.items())
     numbers = {"before": before, "here": here, "fine": fine, "ends": ends, "middle": middle}
     less = {"apart": 100 * (1 - fine / before), "together": 100 * (1 - fine / here)}
-    return "\n\n".join((sentences(CHAINS, **numbers, **less), sentences(BY_IMUS, falls=falls, sizes=sizes)))
+    chains = sentences(CHAINS, **numbers, **less, synthetic=synthetic)
+    return "\n\n".join((chains, sentences(BY_IMUS, falls=falls, sizes=sizes)))
 
 
 def by_mode(error: np.ndarray, mode: np.ndarray, arcs: Iterable[float]) -> pd.DataFrame:
@@ -598,10 +599,11 @@ def _rigid_medians(table: pd.DataFrame) -> pd.Series:
 CHAINS = """
 Median errors in mm, 40 mm *before* each marker and *at* it.
 {% if together < apart %}
-**The place of evaluation matters more than the two models of Table II.**
+**{{ "On our synthetic arm" if synthetic else "In the authors' trial" }} the place of evaluation matters more than the
+choice between the two models of Table II.**
 {% endif %}
 They stand in the third and the last row, but at different points. At M1 this compares
-{{ before | fixed(0) }} mm with {{ fine | fixed(0) }} mm, {{ apart | percent_less }}. At the same point it would be
+{{ before | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ apart | percent_less }}. At the same point it would be
 {{ here | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ together | percent_less }}. The paper states about 25 %
 less. Where a *rigid* link sits matters more: {{ ends | fixed(0) }} mm if it ends at its IMU, as in the text, and
 {{ middle | fixed(0) }} mm if the IMU is in its middle.

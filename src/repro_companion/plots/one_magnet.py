@@ -87,7 +87,7 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of bend and direction by take, a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
     figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.6), sharex=True, height_ratios=[1.4, 1])
-    for k, (name, colour, marker) in enumerate(zip(names, (ORANGE, GREEN, BLUE), "sDo", strict=False)):
+    for k, (name, colour, marker) in enumerate(zip(names, (ORANGE, PINK, GREEN, BLUE), "sXDo", strict=False)):
         own = errors[errors["name"] == name].set_index("take").reindex(takes)
         x = np.arange(len(takes)) + 0.2 * (k - (len(names) - 1) / 2)
         look = {"color": colour, "ls": "", "marker": marker, "ms": 7, "mew": 0}
