@@ -15,6 +15,8 @@ from repro_companion.papers import (
     martin_capture,
     martin_files,
     mitchell,
+    mitchell_files,
+    mitchell_takes,
     others,
     table_2,
     toronto,
@@ -61,7 +63,7 @@ HITS = pd.Series({
     for setting in ("raw", "calibrated") for who in ("smoother", "released window")
 })  # fmt: skip
 ATTEMPTS = pd.DataFrame(
-    [[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell.BULB, "light_-1"]
+    [[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell_files.BULB, "light_-1"]
 )
 PRINT = pd.DataFrame([
     ["length [mm]", "9 ± 1", "1 ± 1", "differs"], ["a [%]", "5.4 ± 0.3", "5.1 ± 0.2", "reproduced"],
@@ -93,8 +95,8 @@ COSTS = pd.DataFrame({
 # Against *z* the paper's filter has the same error in the first take only: half a degree is not the same.
 TAKES = pd.DataFrame({
     "take": ["a", "b", "c"] * 4, "length_mm": [13] * 9 + [15] * 3,
-    "method": np.repeat([mitchell.COMPARED[i][0] for i in (1, 0, 2, 0)], 3),
-    "calibration": np.repeat([mitchell.COMPARED[i][1] for i in (1, 0, 2, 0)], 3),
+    "method": np.repeat([mitchell_takes.COMPARED[i][0] for i in (1, 0, 2, 0)], 3),
+    "calibration": np.repeat([mitchell_takes.COMPARED[i][1] for i in (1, 0, 2, 0)], 3),
     "name": np.repeat(["not calibrated", "filter", "calibrated", "filter, 15 mm"], 3),
     "rmse_deg": [70.0] * 3 + [10, 4, 6] + [1, 2, 3] + [80] * 3,
     "rmse_tilt_z_deg": [70.0] * 3 + [9.6, 4.5, 2] + [7, 8, 9] + [81] * 3,
@@ -154,8 +156,8 @@ BANDS = pd.DataFrame({
          "as you may have them, 2.0 to 4.6 mm."),
         (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
-        (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
-        (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "it finds these in 1 of 2 settings."),
+        (lambda: mitchell_takes.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
+        (lambda: mitchell_takes.bulb_in_words(ATTEMPTS, False), "it finds these in 1 of 2 settings."),
         (lambda: martin.below_table_ii(RIGID),
          "10.0 % (M1) and 20.0 % (M2). With the rigid links of the text they are 30.0 % (M1) and 40.0 % (M2)."),
         (lambda: martin_files.tables_in_words(pd.DataFrame({
@@ -198,23 +200,23 @@ BANDS = pd.DataFrame({
         (lambda: failure.cost_in_words(FAILED[FAILED["member"] == 0], COSTS.assign(all_sensors_percent=3.04)),
          "**One training cannot tell whether the failure costs accuracy.** The mean error is 3.0 % with and without "
          "the failure, and it grows with 1 of our 1 network. The bend in y suffers most, from 2.0 to 5.0 %."),
-        (lambda: mitchell.errors_in_words(TAKES),
+        (lambda: mitchell_takes.errors_in_words(TAKES),
          "**Which method is closer to motion capture depends on what we call the bend.** If it is the tilt of the "
          "body's *y* axis, the ratios, calibrated on other recordings, have an error of 2.0°, and the paper's filter "
          "as released has 6.0°. If it is the tilt of *z*, as in the released code, the ratios have 8.0° and the "
          "filter has 4.5°."),
-        (lambda: mitchell.errors_in_words(TAKES),
+        (lambda: mitchell_takes.errors_in_words(TAKES),
          "In 1 of the takes the choice hardly matters to the filter. There the ratios have an error of 1.0° and the "
          "filter 10°. If we give the filter an arc of 15 mm, it comes to 80° for *y* and 81° for *z* without any "
          "calibration; we explain below why. All these are medians over 3 of the 12 recorded takes."),
-        (lambda: mitchell.errors_in_words(TAKES), "*All numbers* has all 4 methods."),
-        (lambda: mitchell.errors_in_words(TAKES[TAKES["take"] != "a"]),
+        (lambda: mitchell_takes.errors_in_words(TAKES), "*All numbers* has all 4 methods."),
+        (lambda: mitchell_takes.errors_in_words(TAKES[TAKES["take"] != "a"]),
          "which favours our ratios. If we give the filter"),
-        (lambda: mitchell.errors_in_words(TAKES.replace({"rmse_tilt_z_deg": {4.5: 8.5, 2: 9}})),
+        (lambda: mitchell_takes.errors_in_words(TAKES.replace({"rmse_tilt_z_deg": {4.5: 8.5, 2: 9}})),
          "**Against either tilt of the body the ratios came closer to motion capture.** If it is"),
-        (lambda: mitchell.exchanged_in_words(MARKERS),
+        (lambda: mitchell_takes.exchanged_in_words(MARKERS),
          "In 1,234 of 10,000 frames markers were exchanged, and we turned the body back. In 2 takes this"),
-        (lambda: mitchell.exchanged_in_words(MARKERS),
+        (lambda: mitchell_takes.exchanged_in_words(MARKERS),
          "It is, within 0.5° (root mean square, median over the takes)."),
         (lambda: toronto.choice_in_words(TRACKERS, SLOW, CHOICE),
          "tip's tracker is wrong by 1.2 mm and 0.8° along and about each axis. The slow trial chooses *white* with "
