@@ -33,7 +33,13 @@ NOISES = pd.DataFrame({
 ROBOTS = {
     "eflesh": {"x_rms_mm": 0.4, "a_covered_percent": 99.0},
     "hall_joint": {"cycle_1_sample_rms_deg": 3.0, "a_covered_percent": 84.0},
-    "toronto": {"mean_mm": 5.0, "source_filter": 6.0, "a_covered_percent": 95.0},
+    "toronto": {
+        "slow_free_space_rms_mm": 5.0,
+        "slow_free_space_source_filter_mm": 6.0,
+        "impulse_1_rms_mm": 13.26,
+        "impulse_1_source_filter_mm": 12.0,
+        "a_covered_percent": 95.0,
+    },
 }
 RANGES = pd.DataFrame({"step": ["published", "half"] * 2, "chaotic": [True, False, True, True]})
 RIG = pd.DataFrame({"row": table_2.row_name("T3"), "unit": ["%", "mV", "mV"], "error": [1.0, 7.5, 8.5]})
@@ -141,8 +147,13 @@ BANDS = pd.DataFrame({
          "against 4.00 mm with least squares"),
         (lambda: loop.in_words(NOISES), "if the arm bends a fifth further (8.0 mm)"),
         (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
-         "Ours is smaller for two. The stated regions should cover 90 %. Of 3 that we evaluated, 1 covers between 85 "
-         "and 95 %, and the worst covers 84 %."),
+         "ours is smaller for eFlesh, and larger for the Hall joint. On the continuum robot our filter has a smaller "
+         "error than the source's in the slow trial, on which we chose its noise, but the test is the other trial: "
+         "when the arm is hit, we have 13.3 mm against 12.0 mm. Do not"),
+        (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
+         "of 3 that we evaluated, 1 covers between 85 and 95 %, and the worst covers 84 %."),
+        (lambda: others.in_short({x: others.Found({"cases": ["a"]}, ROBOTS[x], {}) for x in [*ROBOTS][:2]}),
+         "and larger for the Hall joint. Do not trust"),
         (lambda: table_2.why_lost(RANGES, RIG, lambda q: np.zeros((len(q), 3)), 1.0),
          "decides 2 of the 2 errors of the bend at the published step, and 1 at half of it"),
         (lambda: failure.alarms_in_words(ALARMS), "(for the drift within five) in at least 98 % of the trials"),
