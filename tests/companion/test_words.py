@@ -41,6 +41,14 @@ ROBOTS = {
         "a_covered_percent": 95.0,
     },
 }
+CHIPS = pd.DataFrame(
+    [
+        [4, "none", 0.5, 0.6, 0, np.nan, np.nan, np.nan], [4, emulated.SILENT, 1, 2, 0, np.nan, np.nan, np.nan],
+        [4, "reads zero", 3, 2, 98, 0.2, 2, 1.8], [4, "stuck", 2, 2, 94, 0.5, 23, 1.7],
+        [2, emulated.SILENT, 62, 50, 0, np.nan, np.nan, np.nan], [2, "stuck", 50, 49, 85, 1, 90, 5],
+    ],
+    columns=["sensors", "failure", "error", "std", "named", "late_s", "before_mm", "before_std_mm"],
+)  # fmt: skip
 RANGES = pd.DataFrame({"step": ["published", "half"] * 2, "chaotic": [True, False, True, True]})
 RIG = pd.DataFrame({"row": table_2.row_name("T3"), "unit": ["%", "mV", "mV"], "error": [1.0, 7.5, 8.5]})
 ALARMS = pd.DataFrame({
@@ -165,6 +173,11 @@ BANDS = pd.DataFrame({
         (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32, [2.0, 4.56]),
          "a tip error of 15 mm. After a calibration in 32 exact poses the error is 0.12 mm; in poses known to 1 mm, "
          "as you may have them, 2.0 to 4.6 mm."),
+        (lambda: emulated.failures_in_words(CHIPS),
+         "from 0.50 to at most 3.0 mm. But the monitor takes 0.5 s to name the chip (*stuck*), and until then the "
+         "error reaches 23 mm at a stated ± of 1.7 mm. If one of two chips fails, the rest does not determine the shape: the median error grows to 62 mm at most, and a median ± of 49 mm or "
+         "more says so. The monitor names a chip that goes on sending in 85 to 98 % of the time."),
+        (lambda: emulated.failures_in_words(CHIPS.assign(before_mm=np.nan)), "at most 3.0 mm. If one of two chips"),
         (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
