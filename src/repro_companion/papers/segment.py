@@ -563,7 +563,7 @@ def in_words(means: pd.DataFrame, force_n: float) -> str:
     moved = 1e3 * turn * LENGTH**3 / (3 * MODULUS * math.pi * SECTION**4 / 4)
     return sentences(
         IN_SHORT, how=HOW, names=NAMES, arc=arc, mm=_in_mm(arc), pulled=_in_mm(load), force=abs(force_n),
-        turn=f"{turn:.1f}" if turns else "", moved=f"{moved:.0f}",
+        turn=number(turn, 1) if turns else "", moved=f"{moved:.0f}",
         best=best, second=second, third=third,
         bare=take(means, "true arc, not calibrated")[0], bare_pulled=take(means, "load, not calibrated")[0],
     )  # fmt: skip
