@@ -1,8 +1,8 @@
 """Take the pictures of what lives on pages: ``python scripts/live_picture.py [CHROMIUM]``.
 
-book/_static/live_page.png is for the page ``live``. It shows ``repro live`` on an emulated board of which a chip
-freezes, so it differs a little each time. book/_static/show_page.png is for the page ``commands``. The others stand in place of the live figures where there are no scripts,
-book/_static/live/NAME.png.
+book/_static/live_page.png is for the pages ``live`` and ``commands``. It shows ``repro live`` on an emulated board of
+which a chip freezes, so it differs a little each time. book/_static/show_page.png shows ``repro show`` for
+``commands``. The others stand in place of the live figures where there are no scripts, book/_static/live/NAME.png.
 """
 
 from __future__ import annotations
