@@ -341,8 +341,8 @@ def _enough(errors: np.ndarray, tolerance: float) -> float:
 # What the page says
 
 IN_SHORT = """
-**In short.** *Magnets:* use three single-axis sensors on each segment. One three-axis chip in place of the three will
-do as well, with {{ chip | fixed(1) }} times their error. Two single-axis sensors leave one of the three coordinates
+**In short.** *Magnets:* use three single-axis sensors on each segment. One three-axis chip in place of the three also
+does, with {{ chip | fixed(1) }} times their error. Two single-axis sensors leave one of the three coordinates
 open, however quiet they are. More than three help little: {{ most }} sensors have {{ share | fixed(0) }} % of the
 error of three. Calibrate the robot before you add sensors.
 """
