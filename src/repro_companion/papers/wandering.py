@@ -206,7 +206,8 @@ def in_words(table: pd.DataFrame) -> str:
 COLUMNS = """
 Error of the tip in the last {{ last }} minutes, root mean square; 1 % is 3.3 mm. *Calibrated once:* magnets and IMUs,
 drift ignored. *Drift in the state:* the method of this page; *magnets, drift in state:* the same without IMUs.
-*Knows the drift:* the same filter on sensors without drift, the best we can hope for. *Normalised error:* squared error over stated variance, mean; 1 is perfect,
+*Knows the drift:* the same filter on sensors without drift, the best we can hope for.
+*Normalised error:* squared error over stated variance, mean; 1 is perfect,
 {{ nees | fixed(0) }} means errors about {{ times | fixed(0) }} times as large as stated.
 """
 
