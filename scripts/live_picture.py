@@ -70,14 +70,16 @@ def live_page(browser: Browser) -> None:
 
 
 def show_page(browser: Browser) -> None:
-    """Write what ``repro show`` makes of the example's table, and take the picture of its first screen."""
+    """Write what ``repro show`` makes of the example's table, and take the picture down to its alarms."""
     folder, command = Path(tempfile.mkdtemp()), str(Path(sys.executable).with_name("repro"))
     files = [repro.example() / "mine.csv", "--robot", repro.example() / "robot.toml", "-o", "shown.html"]
     subprocess.run([command, "show", *files], cwd=folder, check=True)
-    page = browser.new_page(viewport={"width": 1100, "height": 900}, color_scheme="light")
+    page = browser.new_page(viewport={"width": 620, "height": 1200}, color_scheme="light")
     page.goto((folder / "shown.html").as_uri())
     page.wait_for_timeout(2000)
-    taken = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    below: Any = page.get_by_role("heading", name="Alarms").bounding_box()
+    clip: Any = {"x": 0, "y": 0, "width": 620, "height": below["y"]}
+    taken = Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")
     path = project_folder() / "book" / "_static" / "show_page.png"
     taken.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
 
