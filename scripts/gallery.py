@@ -12,6 +12,7 @@ import numpy as np
 
 from repro import LevenbergMarquardt, Robot, load_robot, simulated_readings, track
 from repro_board.emulate import course
+from repro_companion.show import number
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = ROOT / "data" / "robots" / "gallery"
@@ -27,7 +28,13 @@ TITLES = {
     "free_magnet": "A free magnet",
     "hanging_arm": "A hanging arm",
 }
-STRIP = "\n".join(f"[![{title}](gallery/{name}.png)](#robot-{name})" for name, title in TITLES.items())
+SHORT = {
+    name: re.sub(r"^(A|Two) (soft arm with |segments with )?| chips$| with one magnet$", "", title)
+    for name, title in TITLES.items()
+}
+STRIP = "\n".join(
+    f"[![{title}](gallery/{name}.png) {SHORT[name]}](#robot-{name})" for name, title in TITLES.items()
+)
 HEAD = f"""# Gallery of robots
 
 ```{{index}} ! gallery of robots, MLX90393, ! TLV493D, ! TMAG5273, ! LIS3MDL, ! MMC5983MA, BNO055
@@ -47,13 +54,13 @@ the axes of chips and IMUs. A click leads to the file.
 |---|---|---|---|---|---|---|
 """
 FOOT = """
-The ± of the tip are those of `repro check` after a calibration: the *median* of random shapes, the bound for all but
+`repro check` states each ± of the tip, for a calibrated robot: the *median* of random shapes, the bound for all but
 the *worst* twentieth of them, and *blind*, without readings. *Tracked* is the median error on synthetic readings.
 Magpylib computes the fields of the robot as it is drawn, we add the noise and round to the step of the chip, and
 least squares tracks ten seconds of a smooth motion. A robot that is built is not as drawn, so calibrate yours first.
 
 The noise of every chip is a **placeholder**, because we have measured none: hold your robot still and take the
-standard deviation of what you read. Ranges and steps are those of makers or drivers, which the files name. Do not
+standard deviation of what you read. Ranges and steps come from makers or drivers, which the files name. Do not
 compare chips by the table, because the arms differ, and so do the noises that we assumed.
 
 ::::{grid} 1 1 2 2
@@ -88,8 +95,9 @@ def results(name: str) -> tuple[str, str]:
     if robot.imus:
         chips.append(f"{len(robot.imus)} IMU{'s' if len(robot.imus) > 1 else ''}")
         noise.append(f"{np.degrees(of_reading[-1]):.2g}°")
-    numbers = [*re.findall(r"±([\d.]+) mm", sizes), f"{tip_error(robot):.2g}"]
-    cells = [f"[{TITLES[name]}](#robot-{name})", ", ".join(chips), ", ".join(noise), *numbers]
+    millimetres = [*map(float, re.findall(r"±([\d.]+) mm", sizes)), tip_error(robot)]
+    cells = [f"[{TITLES[name]}](#robot-{name})", ", ".join(chips), ", ".join(noise)]
+    cells += [number(value, 2) for value in millimetres]
     return f"{said}.", f"| {' | '.join(cells)} |\n"
 
 

@@ -1,8 +1,8 @@
 """Take the pictures of what lives on pages: ``python scripts/live_picture.py [CHROMIUM]``.
 
-book/_static/live_page.png is for the page ``live``. It shows ``repro live`` on an emulated board of which a chip
-freezes, so it differs a little each time. The others stand in place of the live figures where there are no scripts,
-book/_static/live/NAME.png.
+book/_static/live_page.png is for the pages ``live`` and ``commands``. It shows ``repro live`` on an emulated board of
+which a chip freezes, so it differs a little each time. book/_static/show_page.png shows ``repro show`` for
+``commands``. The others stand in place of the live figures where there are no scripts, book/_static/live/NAME.png.
 """
 
 from __future__ import annotations
@@ -69,6 +69,21 @@ def live_page(browser: Browser) -> None:
         process.wait()
 
 
+def show_page(browser: Browser) -> None:
+    """Write what ``repro show`` makes of the example's table, and take the picture down to its alarms."""
+    folder, command = Path(tempfile.mkdtemp()), str(Path(sys.executable).with_name("repro"))
+    files = [repro.example() / "mine.csv", "--robot", repro.example() / "robot.toml", "-o", "shown.html"]
+    subprocess.run([command, "show", *files], cwd=folder, check=True)
+    page = browser.new_page(viewport={"width": 620, "height": 1200}, color_scheme="light")
+    page.goto((folder / "shown.html").as_uri())
+    page.wait_for_timeout(2000)
+    below: Any = page.get_by_role("heading", name="Alarms").bounding_box()
+    clip: Any = {"x": 0, "y": 0, "width": 620, "height": below["y"]}
+    taken = Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")
+    path = project_folder() / "book" / "_static" / "show_page.png"
+    taken.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+
+
 def still(browser: Browser, name: str) -> None:
     """Take the picture of a live figure as it is when its page is opened."""
     folder = project_folder() / "book" / "_static" / "live"
@@ -93,6 +108,7 @@ def main(chromium: str = "/usr/bin/chromium") -> None:
         for name in FIGURES:
             still(browser, name)
         live_page(browser)
+        show_page(browser)
 
 
 if __name__ == "__main__":

@@ -127,8 +127,8 @@ def source_of(root: Path) -> str:
 
 
 def drop_numbers(app: Sphinx, pagename: str, templatename: str, context: dict, doctree) -> None:
-    """Take our numbers off the figures of notebooks: these name the figures of the paper."""
-    if doctree is not None and is_notebook(app, pagename):
+    """Take our numbers off the figures: their captions name the figures of the paper."""
+    if doctree is not None:
         number = r'<span class="caption-number">.*?</span>'
         context["body"] = re.sub(number, "", context["body"], flags=re.S)
 

@@ -23,7 +23,7 @@ ROBOTS = others.robots()
 COMMITTED = [name for name, about in ROBOTS.items() if about["licence"] == "MIT"]
 FETCHED = [name for name in ROBOTS if name not in COMMITTED]
 BARS = {
-    "toronto": {"mean_mm": 11.0},
+    "toronto": {"slow_free_space_rms_mm": 9.6, "impulse_1_rms_mm": 13.4},
     "asl_trunk": {"adiabatic_tip_median_mm": 5.0, "controlled_tip_median_mm": 5.0},
     "tentacle": {},
     "eflesh": {"x_rms_mm": 0.55, "y_rms_mm": 0.55},

@@ -282,6 +282,8 @@ def test_two_sensors_are_named_where_their_intervals_overlap():
     assert "build the ring (4.0 mm at the tip)" in said
     assert "0.5 N sideways" in said
     assert "shape of two arcs (2.0 mm, against 4.0 mm for the ring and 5.5 mm for the IMUs)" in said
+    turn = "at about 0.2 N, a load that moves the straight tip by 10 mm"  # 0.25 N: 0.5 N times 2/4
+    assert turn in said
     assert segment.situations(means)["take"].iloc[:2].to_list() == ["ring", "both (two arcs)"]
 
 

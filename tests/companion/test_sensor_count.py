@@ -259,6 +259,7 @@ def test_errors_of_imus_have_a_bound_if_they_are_perfect_and_a_rule_if_not(curve
 def test_the_page_says_what_its_tables_say():
     means = pd.DataFrame({"n_segments": 1, "noise_mt": 7.1e-4, "n_sensors": [3, 6], "ratio": [1.0, 0.7]})
     said = sensor_count.in_words(means, 640.0, 8.0, 60.0)
+    assert "one three-axis chip in place of the three also does, with 1.5 times their error" in said.lower()
     assert "6 sensors have 70 % of the error of three" in said
     assert "about 10 of them" in said
     needed = pd.DataFrame({

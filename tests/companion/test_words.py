@@ -35,8 +35,22 @@ NOISES = pd.DataFrame({
 ROBOTS = {
     "eflesh": {"x_rms_mm": 0.4, "a_covered_percent": 99.0},
     "hall_joint": {"cycle_1_sample_rms_deg": 3.0, "a_covered_percent": 84.0},
-    "toronto": {"mean_mm": 5.0, "source_filter": 6.0, "a_covered_percent": 95.0},
+    "toronto": {
+        "slow_free_space_rms_mm": 5.0,
+        "slow_free_space_source_filter_mm": 6.0,
+        "impulse_1_rms_mm": 13.26,
+        "impulse_1_source_filter_mm": 12.0,
+        "a_covered_percent": 95.0,
+    },
 }
+CHIPS = pd.DataFrame(
+    [
+        [4, "none", 0.5, 0.6, 0, np.nan, np.nan, np.nan], [4, emulated.SILENT, 1, 2, 0, np.nan, np.nan, np.nan],
+        [4, "reads zero", 3, 2, 98, 0.2, 2, 1.8], [4, "stuck", 2, 2, 94, 0.5, 23, 1.7],
+        [2, emulated.SILENT, 62, 50, 0, np.nan, np.nan, np.nan], [2, "stuck", 50, 49, 85, 1, 90, 5],
+    ],
+    columns=["sensors", "failure", "error", "std", "named", "late_s", "before_mm", "before_std_mm"],
+)  # fmt: skip
 RANGES = pd.DataFrame({"step": ["published", "half"] * 2, "chaotic": [True, False, True, True]})
 RIG = pd.DataFrame({"row": table_2.row_name("T3"), "unit": ["%", "mV", "mV"], "error": [1.0, 7.5, 8.5]})
 ALARMS = pd.DataFrame({
@@ -62,6 +76,9 @@ HITS = pd.Series({
     for k, name in enumerate(toronto.SAME, 1)
     for setting in ("raw", "calibrated") for who in ("smoother", "released window")
 })  # fmt: skip
+SLOWS = pd.Series(
+    {(toronto.CHOOSING, "raw", "smoother"): 3.0, (toronto.CHOOSING, "raw", "released window"): 4.0}
+)
 ATTEMPTS = pd.DataFrame(
     [[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell_files.BULB, "light_-1"]
 )
@@ -141,8 +158,13 @@ BANDS = pd.DataFrame({
          "against 4.00 mm with least squares"),
         (lambda: loop.in_words(NOISES), "if the arm bends a fifth further (8.0 mm)"),
         (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
-         "Ours is smaller for two. The stated regions should cover 90 %. Of 3 that we evaluated, 1 covers between 85 "
-         "and 95 %, and the worst covers 84 %."),
+         "ours is smaller for eFlesh, and larger for the Hall joint. On the continuum robot our filter has a smaller "
+         "error than the source's in the slow trial, on which we chose its noise, but the test is the other trial: "
+         "when the arm is hit, we have 13.3 mm against 12.0 mm. Do not"),
+        (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
+         "of 3 that we evaluated, 1 covers between 85 and 95 %, and the worst covers 84 %."),
+        (lambda: others.in_short({x: others.Found({"cases": ["a"]}, ROBOTS[x], {}) for x in [*ROBOTS][:2]}),
+         "and larger for the Hall joint. Do not trust"),
         (lambda: table_2.why_lost(RANGES, RIG, lambda q: np.zeros((len(q), 3)), 1.0),
          "decides 2 of the 2 errors of the bend at the published step, and 1 at half of it"),
         (lambda: failure.alarms_in_words(ALARMS), "(for the drift within five) in at least 98 % of the trials"),
@@ -154,6 +176,12 @@ BANDS = pd.DataFrame({
         (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32, [2.0, 4.56]),
          "a tip error of 15 mm. After a calibration in 32 exact poses the error is 0.12 mm; in poses known to 1 mm, "
          "as you may have them, 2.0 to 4.6 mm."),
+        (lambda: emulated.failures_in_words(CHIPS),
+         "from 0.50 to at most 3.0 mm. But the monitor takes 0.5 s to name the chip (*stuck*), and until then the "
+         "error reaches 23 mm at a stated ± of 1.7 mm. If one of two chips fails, the rest does "
+         "not determine the shape: the median error grows to 62 mm at most, and a median ± of 49 mm or "
+         "more says so. The monitor names a chip that goes on sending in 85 to 98 % of the time."),
+        (lambda: emulated.failures_in_words(CHIPS.assign(before_mm=np.nan)), "at most 3.0 mm. If one of two chips"),
         (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
         (lambda: mitchell_takes.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
@@ -164,6 +192,9 @@ BANDS = pd.DataFrame({
             "source": "recorded", "largest_um": [0.5, 1.0, 1.1], "half_turns": [3, 0, 4]})),
          "2 of 3 tables follow to a micrometre in every point of every row. We left out 4 rows"),
         (lambda: toronto.floors_in_words(FLOORS), "or 10 to 20 % of its length, although it knows where the tip is."),
+        (lambda: toronto.raw_in_words(HITS.combine_first(SLOWS)),
+         "On raw readings our smoother is worse than the authors' own sliding window when the arm is hit (115 mm "
+         "against 110 mm), and better in the slow trial, on which we chose its settings (3 mm against 4 mm)."),
         (lambda: toronto.compared_in_words(HITS),
          "115 mm on raw readings, against 110 mm of the authors' sliding window; on calibrated readings it has 15 mm "
          "against 10 mm. When the arm is shaken, our smoother has 125 mm against 120 mm, and 25 mm against 20 mm."),

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import gmean
 
 import repro
 from repro.estimators.rod import Rod, RodFilter, RodSensor
@@ -52,5 +51,4 @@ for trial in WINDOWS:
     figures[f"{trial}_consistent_percent"] = (
         100 * (found.status[told] == "consistent").mean()
     )
-figures["mean_mm"] = gmean([figures[f"{trial}_rms_mm"] for trial in WINDOWS])
 print(pd.Series(figures).round(2).to_string())

@@ -122,6 +122,7 @@ def faults_in_words(table: pd.DataFrame) -> str:
     return sentences(FAULTS_IN_WORDS, intact=intact, lost=lost, wrong=wrong)
 
 
+SILENT = "sends nothing"
 FAILURES = {
     "sensors": "chips",
     "failure": "failure",
@@ -134,14 +135,20 @@ FAILURES = {
 
 FAILURES_IN_WORDS = """
 **What to see.** If one of four chips fails, the median error of the tip grows from {{ healthy | two }} to at most
-{{ four | two }} mm. If one of two chips fails, the rest does not determine the shape: the error grows to
-{{ two | two }} mm at most, and a stated ± of {{ stated | two }} mm or more says so. The monitor names a chip that
-goes on sending in {{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
+{{ four | two }} mm.
+{% if late %}
+But the monitor takes {{ late.late_s | fixed(1) }} s to name the chip (*{{ late.failure }}*), and until then the error
+reaches {{ late.before_mm | two }} mm at a stated ± of {{ late.before_std_mm | two }} mm.
+{% endif %}
+If one of two chips fails, the rest does not determine the shape: the median error grows to {{ two | two }} mm at
+most, and a median ± of {{ stated | two }} mm or more says so. The monitor names a chip that goes on sending in
+{{ named.min() | fixed(0) }} to {{ named.max() | fixed(0) }} % of the time.
 """
 FAILURE_TERMS = """
 All numbers count from the failure on. *Error* is the distance of the estimated tip from the true one, and *stated ±*
 one standard deviation of the tip; both are medians. *Alarm* says how much of the time the monitor doubts the
-readings, and *named* how much of the time it names the right chip and no other.
+readings, and *named* how much of the time it names the right chip and no other. A chip that is *stuck* repeats its
+last reading. Two rows agree where the chip is left out from the same time step on.
 """
 
 
@@ -149,24 +156,35 @@ def failures_in_words(table: pd.DataFrame) -> str:
     """Return how the error grows if one of four chips fails, or one of two, and how often the chip is named."""
     whole = table["failure"] == "none"
     four, two = (table[~whole & (table["sensors"] == chips)] for chips in (4, 2))
+    named = four[four["before_mm"] > 0]  # late, not at once
     return sentences(
         FAILURES_IN_WORDS,
         healthy=table.loc[whole & (table["sensors"] == 4), "error"].item(),
         four=four["error"].max(),
         two=two["error"].max(),
         stated=two["std"].min(),
-        named=table.loc[~whole & (table["failure"] != "no reading"), "named"],
+        named=table.loc[~whole & (table["failure"] != SILENT), "named"],
+        late={} if named.empty else named.loc[named["before_mm"].idxmax()].to_dict(),
     )
 
 
 def failures(steps: pd.DataFrame, fails_at_s: float) -> pd.DataFrame:
-    """Return median error and ± of the tip [mm], and shares of alarms and right names [%], after the failure."""
+    """Return median error and ± of the tip [mm], and shares of alarms and right names [%], after the failure.
+
+    Then how late the chip is named [s], and the largest error and ± until then; of a chip that never is, NaN.
+    """
     after = steps[steps["time_s"] > fails_at_s]
     after = after.assign(alarm=100.0 * (after["status"] > 0), named=100.0 * after["named"])
     groups = after.groupby(["sensors", "failure"], sort=False)
     medians = groups[["tip_error_mm", "tip_std_mm"]].median().set_axis(["error", "std"], axis=1)
+    first = after[after["named"] > 0].groupby(["sensors", "failure"], sort=False)["time_s"].min()
+    named_s = after.set_index(["sensors", "failure"]).index.map(first)
+    before = after[after["time_s"] < named_s].groupby(["sensors", "failure"], sort=False)
+    largest = before[["tip_error_mm", "tip_std_mm"]].max().set_axis(["before_mm", "before_std_mm"], axis=1)
     return (
         medians.join(groups[["alarm", "named"]].mean())
+        .join((first - fails_at_s).rename("late_s"))
+        .join(largest)
         .reset_index()
         .sort_values("sensors", kind="stable", ascending=False)
     )

@@ -538,7 +538,12 @@ IN_SHORT = """
 **In short.** If your segment bends as a true arc and you calibrate it, {{ how[arc.index[0]] }}
 ({{ mm[arc.index[0]] }} at the tip). If something pulls at it, here with {{ "%g" | format(force) }} N sideways at the
 tip, {{ how[best] }} ({{ pulled[best] }}, against {{ pulled[second] }} for {{ names[second] }} and {{ pulled[third] }}
-for {{ names[third] }}). If it is not calibrated and bends as an arc, take {{ bare }}, and if something pulls at it,
+for {{ names[third] }}).
+{% if turn %}
+The choice turns at about {{ turn }} N, a load that moves the straight tip by {{ moved }} mm: below it the ring alone
+is better.
+{% endif %}
+If it is not calibrated and bends as an arc, take {{ bare }}, and if something pulls at it,
 take {{ bare_pulled }}.
 """
 
@@ -552,8 +557,13 @@ def in_words(means: pd.DataFrame, force_n: float) -> str:
     """Return which sensors to take, in a paragraph."""
     arc, load = best_first(means, [RING, IMUS]), best_first(means, [RING, IMUS, TWO], at=LOAD)
     best, second, third = load.index
+    turns = best == TWO and arc.index[0] == RING
+    # the ring's error grows in proportion to the load, the error of two arcs hardly does
+    turn = abs(force_n) * load.loc[TWO, "tip_mm"] / load.loc[RING, "tip_mm"] if turns else 0.0
+    moved = 1e3 * turn * LENGTH**3 / (3 * MODULUS * math.pi * SECTION**4 / 4)
     return sentences(
         IN_SHORT, how=HOW, names=NAMES, arc=arc, mm=_in_mm(arc), pulled=_in_mm(load), force=abs(force_n),
+        turn=number(turn, 1) if turns else "", moved=f"{moved:.0f}",
         best=best, second=second, third=third,
         bare=take(means, "true arc, not calibrated")[0], bare_pulled=take(means, "load, not calibrated")[0],
     )  # fmt: skip

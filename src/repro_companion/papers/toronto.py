@@ -533,6 +533,23 @@ def all_errors(
     return pd.concat([ours.drop(columns="model"), pd.DataFrame(rows)], ignore_index=True)
 
 
+RAW = """
+**In short.** On raw readings our smoother is {{ "better" if hit[0] < hit[1] else "worse" }} than the authors' own
+sliding window when the arm is hit ({{ hit[0] | fixed(0) }} mm against {{ hit[1] | fixed(0) }} mm), and
+{{ "better" if slow[0] < slow[1] else "worse" }} in the slow trial, on which we chose its settings
+({{ slow[0] | fixed(0) }} mm against {{ slow[1] | fixed(0) }} mm).
+"""
+
+
+def raw_in_words(errors: pd.Series) -> str:
+    """Return our errors on raw readings beside those of the released window, in a trial that chose nothing first."""
+    hit, slow = (
+        [errors[name, "raw", estimator] for estimator in ("smoother", "released window")]
+        for name in (SAME[0], CHOOSING)
+    )
+    return sentences(RAW, hit=hit, slow=slow)
+
+
 def compared_in_words(errors: pd.Series) -> str:
     """Return our errors beside those of the released window when something touches the arm."""
     sizes = [
@@ -581,9 +598,9 @@ def region(bands: pd.DataFrame) -> dict[str, str]:
 
 
 def sure_shown(bands: pd.DataFrame) -> pd.DataFrame:
-    """Return for each estimator how often its ellipsoids cover the truth in every trial, and their semi-axes."""
+    """Return for each estimator how often its ellipsoids cover the truth, by trial, and their extreme semi-axes."""
     keys = ["ellipsoids", "estimator"]
-    axes = bands.groupby(keys, sort=False)[["shortest_mm", "longest_mm"]].median()
+    axes = bands.groupby(keys, sort=False).agg({"shortest_mm": "min", "longest_mm": "max"})
     covered = bands.pivot_table("covered_percent", keys, "trial", sort=False)
     covered = covered.rename(columns=lambda name: f"{WORDS.get(name, str(name)).split(',')[0]} [%]")
     heads = {"shortest_mm": "shortest [mm]", "longest_mm": "longest [mm]"}
