@@ -46,6 +46,11 @@ def sentences(template: str, **values: object) -> str:
     return " ".join(line.strip() for line in lines if line.strip())
 
 
+def fold(title: str, text: str) -> str:
+    """Return a text that a reader unfolds by its title."""
+    return f"`````{{dropdown}} {title}\n{text}\n`````"
+
+
 def checked(page: str, values: Mapping[str, object]) -> Path:
     """Return the checkout; refuse another folder, and values that the parameters of a page cannot have.
 

@@ -19,7 +19,7 @@ from repro_companion.papers.mitchell_files import (
     ratio,
     side_by_side,
 )
-from repro_companion.show import number, sentences
+from repro_companion.show import fold, number, sentences
 
 # A module at nominal bends
 
@@ -67,12 +67,15 @@ def nominal_errors(
 NOMINAL_WORDS = """
 **On the takes, ratios calibrated at nominal bends have an error of {{ at_bends }}°, which is {{ "worse" if worse
 else "better" }} than without any calibration.** Without it the error is {{ without }}°, and with a calibration on
-other tests {{ tests }}°. The files show a part of the reason. In them the ratio is {{ all.gain | two }} times as
-large as in the model, on the takes {{ low | two }} to {{ high | two }} times, so every bend comes out at about {{
-size | fixed(0) }} % of its size. At rest the ratio has a size of {{ all.rest | two }} there, and of about {{ rest |
-two }} on the takes. So it is probably another module, or the same one mounted in another way (inferred). Nor need a
-nominal bend be the bend between sensor and magnet. A dipole on an arc of up to 90° has ratios of at most 1/3, and
-the files reach {{ all.largest_ratio | two }}.
+other tests {{ tests }}°.
+"""
+REASON = """
+**Why are they {{ "worse" if worse else "better" }}?** The files show a part of the reason. In them the ratio is {{
+all.gain | two }} times as large as in the model, on the takes {{ low | two }} to {{ high | two }} times, so every
+bend comes out at about {{ size | fixed(0) }} % of its size. At rest the ratio has a size of {{ all.rest | two }}
+there, and of about {{ rest | two }} on the takes. So it is probably another module, or the same one mounted in
+another way (inferred). Nor need a nominal bend be the bend between sensor and magnet. A dipole on an arc of up to
+90° has ratios of at most 1/3, and the files reach {{ all.largest_ratio | two }}.
 """
 AGREEMENT = """
 **The files disagree with each other.** Bends of two repetitions differ by {{ all.repeat_deg | two }}° (RMS). Bends
@@ -96,11 +99,15 @@ def nominal_in_words(nominal: pd.DataFrame, rmse_deg: pd.Series, takes: pd.DataF
     low, middle, high = np.quantile(takes["gain"], [0, 0.5, 1])
     errors = {"at_bends": number(at_bends, 2), "without": number(without, 2), "tests": number(tests, 2)}
     sizes = {"low": low, "high": high, "size": 100 * middle / one["gain"], "rest": takes["rest"].median()}
-    worth = sentences(NOMINAL_WORDS, worse=at_bends > without, all=one, **errors, **sizes)
-    suspect = by.loc["90° in direction 0°"] if "90° in direction 0°" in by.index else None
-    return (
-        f"{worth}\n\n{sentences(AGREEMENT, all=one, least=turned.min(), most=turned.max(), suspect=suspect)}"
+    worse = at_bends > without
+    worth, reason = (
+        sentences(NOMINAL_WORDS, worse=worse, **errors),
+        sentences(REASON, worse=worse, all=one, **sizes),
     )
+    suspect = by.loc["90° in direction 0°"] if "90° in direction 0°" in by.index else None
+    agreement = sentences(AGREEMENT, all=one, least=turned.min(), most=turned.max(), suspect=suspect)
+    both = fold("Why, and do the files agree with each other?", f"{reason}\n\n{agreement}")
+    return f"{worth}\n\n{both}"
 
 
 # Fig. 9 as tables
@@ -362,11 +369,15 @@ ERRORS = {
 def exchanged_in_words(facts: pd.DataFrame) -> str:
     """Return in how many frames and takes markers were exchanged, and how well the tilt then fits the place."""
     many, misfit = facts["undone_above_40_percent"].gt(30).sum(), facts["off_displacement_deg"].median()
-    return (
+    return fold(
+        "Markers that change places",
+        "Motion capture takes markers for each other if they lie nearly symmetrically. Then the body seems to turn by"
+        " a half turn from one frame to the next. The jumps tell us which half turn to undo. Without these frames"
+        " several takes would lose most of their large bends.\n\n"
         f"In {facts['undone'].sum():,} of {facts['frames'].sum():,} frames markers were exchanged, and we turned the"
         f" body back. In {many} takes this concerns more than 30 % of the frames above 40°. Where the body is hardly"
         " depends on which marker is which, so we can check the result: its tilt should be a smooth function of its"
-        f" place. It is, within {number(misfit, 1)}° (root mean square, median over the takes)."
+        f" place. It is, within {number(misfit, 1)}° (root mean square, median over the takes).",
     )
 
 
@@ -384,7 +395,7 @@ In {{ alike }} of the takes the choice hardly matters to the filter. There the r
 {% endif %}
 If we give the filter an arc of 15 mm, it comes to {{ y[2] | two }}° for *y* and {{ z[2] | two }}° for *z* without any
 calibration; we explain below why. All these are medians over {{ takes }} of the 12 recorded takes. The paper prints
-no errors for Fig. 9. *All numbers* has all {{ methods }} methods.
+no errors for Fig. 9.
 """
 
 
@@ -398,4 +409,4 @@ def errors_in_words(errors: pd.DataFrame) -> str:
     alike = (y.iloc[:, 1] - z.iloc[:, 1]).abs() < 0.5  # degrees between errors that are taken for the same
     parts = {"y": y, "z": z, "there": y[alike]}
     numbers = {name: part.median().tolist() for name, part in parts.items()}
-    return sentences(WORTH, **numbers, takes=len(y), alike=alike.sum(), methods=errors["name"].nunique())
+    return sentences(WORTH, **numbers, takes=len(y), alike=alike.sum())

@@ -237,28 +237,26 @@ ABOUT = {
 with the published numbers.""",
 }
 """What it says below."""
-RECORDINGS = {
-    "simulated": """Our rig works in three steps:
-
-1. Torques of section 5.3 become pressures, and the pressures a bend with lag and hysteresis. We shift and scale the
-   bend until its mean and deviation are those of the recording, which the first layer of the authors' networks tells.
+RIG_STEPS = """
+1. Torques become pressures, and the pressures a bend with lag and hysteresis. We shift and scale the bend until its
+   mean and deviation are those of the recording, which the first layer of the authors' networks tells.
 2. Magpylib computes the field of the ring at three sensors. We chose directions and gains with which these sensors
    read what the authors' networks predict, as nearly as possible, and added a smooth ripple.
 3. Noise, drift and a 16-bit converter make the readings. Each recording has a bias of up to 4 mV, which the
    sensors share.
-
-We assumed everything else, including the biases, and froze it before any estimator ran.
-
-The authors also released the networks that they trained on each recording. They carry no licence, so this
-project does not contain them, but `repro fetch baaij2023_networks` brings 36 (six recordings, three sensors,
-two seeds). In a stored study they play the robot. We move the rig, and the networks of each recording (mean of
-two seeds, plus noise) say what its sensors read. Then we estimate the bend with the networks of T5, as the
-authors do. This gives the third line of Table 2. On T5 it says little, because there robot and model are the same
-networks. T4 is missing, because its two seeds differ by 4.7 mV, more than the printed error of 3.0 mV. So we
-compare the means of these robots with the paper's means without T4.
-
-If you have the recordings, this page computes Table 2 from them, and compares 37 numbers with the
-published ones, two of which are the means in the text:
+"""
+NETWORKS_PLAY = """
+The authors also released the networks that they trained on each recording. They carry no licence, so this project
+does not contain them, but `repro fetch baaij2023_networks` brings 36 (six recordings, three sensors, two seeds). In
+a stored study they play the robot. We move the rig, and the networks of each recording (mean of two seeds, plus
+noise) say what its sensors read. Then we estimate the bend with the networks of T5, as the authors do. This gives
+the third line of Table 2. On T5 it says little, because there robot and model are the same networks. T4 is missing,
+because its two seeds differ by 4.7 mV, more than the printed error of 3.0 mV. So we compare the means of these
+robots with the paper's means without T4.
+"""
+WITH_RECORDINGS = """
+This page then computes Table 2 from them, and compares 37 numbers with the published ones, two of which are the
+means in the text:
 
 ```bash
 .venv/bin/repro fetch baaij2023
@@ -267,7 +265,17 @@ make page P=table_2
 ```
 
 The first command brings twelve files, 16 MB: raw motion capture and readings of the six trajectories. The second
-needs torch. It trains nine networks, a minute each, shows how far it is, and goes on where it stopped.""",
+needs torch. It trains nine networks, a minute each, shows how far it is, and goes on where it stopped.
+"""
+RECORDINGS = {
+    "simulated": f"""Our rig turns the torques of section 5.3 into bends, computes the readings with Magpylib, and
+adds noise, drift and biases. We assumed what the released files do not tell, and froze it before any estimator ran.
+
+{show.fold("How the rig works", RIG_STEPS)}
+
+{show.fold("How the authors' networks play the robot", NETWORKS_PLAY)}
+
+{show.fold("If you have the recordings", WITH_RECORDINGS)}""",
     "recorded": """We read poses and readings of six recordings and follow the authors' pipeline: bends in closed
 form from the pose of the ring, and both starts of inflation put together. We check the alignment against all other
 lags.""",
@@ -612,11 +620,12 @@ def why_lost(ranges: pd.DataFrame, errors: pd.DataFrame, sensing: Sensing, secon
     chaotic = ranges.groupby("step")["chaotic"].sum()
     study = project_folder() / "data" / "studies" / "table_2_networks.json"
     networks = json.loads(study.read_text(encoding="utf-8"))
-    return (
+    return show.fold(
+        "What rounding and a lag of the magnet add",
         "**Rounding.** Where the step is too long, starts that differ by rounding end on different tracks. In a"
         f" stored study of {STARTS} such starts this decides {chaotic['published']} of the {len(ranges) // 2} errors"
         f" of the bend at the published step, and {chaotic['half']} at half of it. On the authors' networks it"
         f" decides {networks['decided_by_rounding']} of {networks['of_errors']}.\n\n"
         "**T3.** The magnet of this rig lags where the direction of bending turns. Without the lag the readings of T3"
-        f" would be off by {without:.1f} mV instead of {own:.1f} mV (first network)."
+        f" would be off by {without:.1f} mV instead of {own:.1f} mV (first network).",
     )
