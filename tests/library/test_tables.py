@@ -6,6 +6,7 @@ import bz2
 import copy
 import gzip
 import pickle
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from scipy.spatial.transform import Rotation
 import repro
 from repro import ConstantCurvature, Imu, InputError, Robot, Sensor
 from repro.common import bad_input
-from repro.tables import configurations_of, read_table
+from repro.lines import MARK, fields, labelled
+from repro.tables import configurations_of, read_table, text_of
 
 ROWS = np.array([[0.0, -2.125, 3.5, 0.25], [0.05, -2.25, 3.375, 0.5], [0.1, -2.5, 3.25, 0.75]])
 HEADER = ["time_s", "u1_mT", "u2_mT", "u3_mT"]
@@ -77,6 +79,9 @@ SPELLINGS = {
     "labels": "".join(f"t_s: {t} u1: {a:g} mT, u2={b} mT u3:{c}mT\n" for t, a, b, c in ROWS),
     "labels and one unit at the end": "".join(
         f"t: {t}, u1: {1e3 * a}, u2: {1e3 * b}, u3: {1e3 * c} uT\n" for t, a, b, c in ROWS
+    ),
+    "labels and a unit of each": "".join(
+        f"t: {t} s u1: {1e3 * a} uT u2: {b} mT u3: {10 * c} G\n" for t, a, b, c in ROWS
     ),
     "JSON": "".join(f'{{"t_s": {t}, "u1": {a}, "u2": {b}, "u3": {c}}}\n' for t, a, b, c in ROWS),
     "one number a line": "".join(
@@ -477,6 +482,27 @@ class TestQuaternions:
         with pytest.raises(InputError, match=f"quaternions of imu 1 of mine.csv must be {message}"):
             self.arm().readings(written(tmp_path, self.table(**changes)))
 
+    def test_two_quaternions_and_a_hundredth_may_be_damaged(self, tmp_path):
+        rows = self.table().splitlines()
+        for n in (2, 3):
+            others = [
+                row.rsplit(",", 1)[0] + ",3.0" if k % 20 == 1 and k < 20 * n else row
+                for k, row in enumerate(rows)
+            ]
+            path = written(tmp_path, "\n".join(others) + "\n")
+            with pytest.raises(InputError, match="of norm 1") if n > 2 else nullcontext():
+                assert np.isnan(self.arm().readings(path)[:, 0]).sum() == n
+
+    @pytest.mark.parametrize("degrees", [155.0, 165.0])
+    def test_an_orientation_is_believed_up_to_160_degrees(self, degrees):
+        """With w first it would be one of less than half of that."""
+        q = np.tile(Rotation.from_rotvec([degrees, 0, 0], degrees=True).as_quat(), (5, 1))
+        arm = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1)])
+        with pytest.raises(InputError, match="in the order x, y, z, w") if degrees > 160 else nullcontext():
+            assert np.degrees(
+                arm.readings(pd.DataFrame(q, columns=["qx_1", "qy_1", "qz_1", "qw_1"]))[0, 0]
+            ) == pytest.approx(degrees)
+
 
 def damaged_log(*damage: str, names: bool = True) -> str:
     """A log of 40 lines, the last of which are damaged."""
@@ -812,6 +838,45 @@ def test_a_packed_file_is_no_text(tmp_path, pack):
     path.write_bytes(pack(lines(rows=np.random.default_rng(0).normal(size=(100, 4))).encode()))
     with pytest.raises(InputError, match="instead received bytes that are no text .packed, or a spreadsheet"):
         read_table(path)
+
+
+@given(st.text("\0\ufffdu1: .5,-e=;\tT"))
+def test_every_mark_in_the_form_of_a_line_is_a_number(text):
+    """Also where a damaged byte looks like a mark."""
+    form, cells = fields(text)
+    assert form.count(MARK) == len(cells)
+    assert labelled(text).keys() >= set()
+
+
+@pytest.mark.parametrize(("byte", "most", "what"), [(0, 100, "zero"), (1, 50, "no text")])
+def test_so_many_bytes_of_the_first_thousand_may_be_damaged(tmp_path, byte, most, what):
+    path = tmp_path / "mine.csv"
+    for n in (most, most + 1):
+        path.write_bytes(bytes([byte]) * n + b"1" * (1000 - n) + b"\n" * 9000)
+        with pytest.raises(InputError, match=f"bytes that are {what}") if n > most else nullcontext():
+            text_of(path, [])
+
+
+def test_seconds_begin_again_at_midnight_and_others_never(tmp_path):
+    for first, goes_on in ((86300.0, True), (100_000.0, False)):
+        text = "time_s,u1_mT\n" + "".join(f"{t},1.5\n" for t in (first, first + 50, 20.0, 70.0))
+        with nullcontext() if goes_on else pytest.raises(InputError, match="did the board start again"):
+            table = read_table(written(tmp_path, text))
+            np.testing.assert_allclose(np.diff(table.times), [50.0, 70.0, 50.0])
+
+
+def test_columns_that_take_turns_take_two_at_least():
+    for n in (5, 6):
+        frame = pd.DataFrame({f"u{k}": np.where(np.arange(n) % 3 == k, 1.5, np.nan) for k in range(3)})
+        assert len(read_table(frame).values) == (n if n < 6 else 2)
+
+
+@pytest.mark.parametrize("share", [1, 3])
+def test_a_label_that_one_line_of_fifty_has_is_a_column(tmp_path, share):
+    """That of one in fifty or fewer is what a board says now and then."""
+    text = [f"u1: {k}.5" + ", u2: 7" * (k % 100 < share) for k in range(100)]
+    names = read_table(written(tmp_path, "\n".join(text) + "\n")).names
+    assert names == (("u1", "u2") if share > 2 else ("u1",))
 
 
 def test_a_rate_is_positive_and_never_ignored_in_silence(tmp_path):
