@@ -308,6 +308,10 @@ CASES = {
     ),
     "a third damaged": (lambda: session_of(damaged(sent(U[:90]), 3)), "About 30 % of the frames are damaged"),
     "half damaged": (lambda: session_of(damaged(sent(U[:90]), 2)), "About 50 % of the frames are damaged"),
+    "six of a hundred damaged": (
+        lambda: session_of(damaged(sent(U[:101]), 16)),
+        "About 10 % of the frames are d",
+    ),
     "another robot": (
         lambda: session_of(sent(U[:20, :6]), since_s=2),
         "What arrives does not fit this robot.",
@@ -351,13 +355,29 @@ def test_the_last_bytes_are_shown_where_they_are_no_readings():
     assert message(session_of(since_s=2).moment)["raw"] == ""
 
 
-def test_all_is_well_and_nothing_is_said():
-    session = session_of(sent(U[:100]))
+@pytest.mark.parametrize("every", [1000, 22])
+def test_all_is_well_and_nothing_is_said(every):
+    """Also of a twentieth of damaged frames, the first of which may have been cut."""
+    session = session_of(damaged(sent(U[:100]), every))
     assert said(session) == []
     assert session.moment.raw == ""
     assert summary(session)["fit"].startswith("consistent, residuals ")
     assert in_numbers(session)[0].startswith("tip x ")
     assert in_numbers(session)[3].endswith(" mm")
+
+
+@pytest.mark.parametrize(
+    ("share", "ends"),
+    [(0.259, " mm"), (0.261, " mm by its bounds alone"), (0.99, "alone"), (1.01, " undetermined")],
+)
+def test_a_deviation_is_seen_beside_what_the_bounds_leave(share, ends):
+    """A uniform distribution over them has their width over the root of 12: nine tenths of it are 0.26."""
+    session, width = session_of(), ROBOT.upper - ROBOT.lower
+    found = SimpleNamespace(q=ROBOT.usual_shape, covariance=np.diag((share * width) ** 2))
+    session.last = 0.0, U[0], found
+    coordinates = in_numbers(session)[3:]
+    assert [text.split()[0] for text in coordinates] == list(ROBOT.coordinates)
+    assert all(text.endswith(ends) for text in coordinates)
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])

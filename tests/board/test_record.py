@@ -381,6 +381,22 @@ def test_times_of_the_board_are_on_the_computers_clock_whatever_the_delays(ppm):
     assert found == pytest.approx(ppm, abs=2.0)
 
 
+@pytest.mark.parametrize(
+    ("span_s", "slower", "found"),
+    [(9.9, 1e-3, "as sent"), (10.1, 1e-3, "corrected"), (600.0, 0.049, "corrected"), (600.0, 0.06, "none")],
+)
+def test_a_clock_is_corrected_from_ten_seconds_on_if_it_is_off_by_less_than_a_twentieth(
+    span_s, slower, found
+):
+    board = np.linspace(0.0, span_s, 2001)
+    times, ppm, _ = board_times(2e-3 + board * (1 + slower), 100.0 + board)
+    assert (times is None) == (found == "none")
+    if times is not None:
+        corrected = slower * (found == "corrected")
+        np.testing.assert_allclose(times - times[0], board * (1 + corrected), atol=1e-6)
+        assert ppm == pytest.approx(1e6 * (1 / (1 + corrected) - 1), abs=1e-3)
+
+
 def test_a_board_that_begins_anew_goes_on_in_time():
     sent = np.concatenate(
         [np.arange(0.0, 30.0, 0.01), np.arange(32.0, 60.0, 0.01), np.arange(75.0, 80.0, 0.01)]

@@ -254,6 +254,12 @@ def test_a_lone_chip_cannot_tell_a_mirrored_shape_and_two_can():
         lower=[-0.012, -0.012, 0.0], upper=[0.012, 0.012, 0.0], noise=0.01,
     )  # fmt: skip
     assert mirrored_chips(robot) == ("a",)
+    behind = robot.replaced(  # a joint that moves no magnet tells nothing
+        segments=[*robot.segments, BallJoint("x"), Link(0.01)],
+        lower=[*robot.lower, -1.0],
+        upper=[*robot.upper, 1.0],
+    )
+    assert mirrored_chips(behind) == ("a",)
     assert any("axes of a are exchanged" in note for note in check_design(robot).notes)
     assert mirrored_chips(robot.replaced(sensors=[one, Sensor(1, 0.09, axes=3)])) == ()
     assert (
@@ -309,7 +315,9 @@ def test_a_deviation_from_a_metre_on_determines_nothing(std, words):
     assert length_in_words(std) == words
 
 
-@pytest.mark.parametrize(("information", "undetermined"), [(1.0, 1), (2.0, 1), (8.0, 0)])
+@pytest.mark.parametrize(
+    ("information", "undetermined"), [(0.0195, 1), (0.0208, 1), (1.0, 1), (2.0, 1), (8.0, 0)]
+)
 def test_a_hinge_with_an_imu_has_its_numbers_in_closed_form(information, undetermined):
     """A range of root 12 hundredths has a deviation of 0.01 rad, at 0.1 m 1 mm; readings may know more."""
     box = {"lower": [-0.01 * np.sqrt(3)], "upper": [0.01 * np.sqrt(3)], "noise": 0.01 / np.sqrt(information)}
@@ -322,6 +330,7 @@ def test_a_hinge_with_an_imu_has_its_numbers_in_closed_form(information, undeter
     np.testing.assert_allclose(found.tip_as_built, 1e-3 * np.sqrt(built), rtol=1e-9)
     assert found.spread == pytest.approx(1e-3, rel=0.1)
     assert found.added == {"imu": pytest.approx(np.log(1 + information) / 2)}
+    assert found.idle == ("imu",) * (information < 0.0202)
     assert len(found.undetermined) == undetermined  # from half of the deviation on
 
 
