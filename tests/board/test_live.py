@@ -366,6 +366,18 @@ def test_all_is_well_and_nothing_is_said(every):
     assert in_numbers(session)[3].endswith(" mm")
 
 
+def test_fit_and_latency_are_said_in_their_units():
+    session = session_of(sent(U[:3]))
+    t, u, found = session.last
+    session.last = t, u, found._replace(chi2=40.0, dof=10)
+    session.latencies.clear()
+    session.latencies.extend(np.arange(1, 102) / 1e3)
+    assert summary(session)["fit"].endswith("residuals 2.0 times the noise")
+    assert summary(session)["latency"] == "51 ms in the median, 1e+02 ms in 99 %"
+    session.latencies.extend(np.full(101, 1e-3))
+    assert summary(session)["latency"].startswith("1 ms in the median, 99 ms")
+
+
 @pytest.mark.parametrize(
     ("share", "ends"),
     [(0.259, " mm"), (0.261, " mm by its bounds alone"), (0.99, "alone"), (1.01, " undetermined")],

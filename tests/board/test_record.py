@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Link, Robot, Sensor
 from repro_board import live as module
-from repro_board.live import record
+from repro_board.live import Summary, record
 from repro_board.record import (
     MOST_LETTERS,
     Note,
@@ -626,6 +626,17 @@ def test_a_lost_port_is_waited_for_and_marked(board, tmp_path, opened):
     recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
     assert (done.reconnects, done.samples) == (1, 19)
+
+
+def test_one_of_a_kind_is_said_in_the_singular():
+    counters = {"frames": 20, "gaps": 1, "first_partial": 1, "restarts": 2, "repeats": 0}
+    said = Summary(None, 9.96, 100, 20, 1, "csv", counters, ("A remark.",), 3)
+    numbers = (
+        "10 s: 100 bytes, 20 samples of csv (2.0/s), 1 reconnect, 3 notes, 1 gap, 1 first partial, 2 restarts"
+    )
+    assert str(said) == f"{numbers}\nA remark."
+    short = said._replace(seconds=0.99, format=None, counters={}, reconnects=0, notes=1, remarks=())
+    assert str(short) == "1 s: 100 bytes, 20 samples of no known format, 1 note"
 
 
 def test_a_recording_of_nothing_leaves_no_file(board, tmp_path):
