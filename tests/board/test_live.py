@@ -773,6 +773,43 @@ async def cut_off(server) -> None:
         page.detach().close()
 
 
+TRACED = """([calls, most]) => {
+    const traces = new Traces(null, 1, most ?? Infinity);
+    for (const call of calls) traces.add(...call);
+    return [traces.rows.map(([time]) => time), traces.end, traces.limits()];
+}"""
+TRACES = [
+    (
+        [[9, [1], 0], [1, [3], 0]],
+        None,
+        [1],
+        1,
+        [2.85, 3.15],
+    ),  # what a board sent before it began anew is gone
+    ([[10, [1], 0.2], [11, [3], 0.25]], None, [10, 11], 11, [0.9, 3.1]),
+    (
+        [[10, [1], 0.3], [11, [3], 5]],
+        None,
+        [10, 11],
+        16,
+        [0.9, 3.1],
+    ),  # old readings stand where their time is
+    ([[3, [1], 0], [3, [1], 0], [4, [3], 0]], None, [3, 4], 4, [0.9, 3.1]),
+    ([[0, [1], 0], [20, [3], 0]], None, [0, 20], 20, [0.9, 3.1]),
+    ([[0, [9], 0], [19, [1], 0], [20.1, [3], 0]], None, [19, 20.1], 20.1, [0.9, 3.1]),
+    (
+        [[0, [-1], 0], [1, [2], 0]],
+        30,
+        [0, 1],
+        1,
+        [-4.4, 4.4],
+    ),  # residuals: four deviations at least, 30 at most
+    ([[0, [-29], 0], [1, [99], 0]], 30, [0, 1], 1, [-31.95, 32.95]),
+    ([[0, [-99], 0], [1, [0], 0]], 30, [0, 1], 1, [-31.7, 5.7]),
+]
+"""Readings with their ages, a limit for them, and the times that are kept, where "now" is, and what is drawn."""
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
 @pytest.mark.slow
 def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
@@ -788,12 +825,8 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert red(page.locator("#shape canvas")) > 50
-        ends = "[0.2, 5].map((age) => { const x = new Traces(null, 1); x.add(10, [1], age); return x.end; })"
-        anew = (
-            "(() => { const x = new Traces(null, 1); x.add(9, [1], 0); x.add(1, [2], 0); return x.rows; })()"
-        )
-        assert page.evaluate(anew) == [[1, [2]]]  # what a board sent before it began anew is gone
-        assert page.evaluate(ends) == [10, 15]  # old readings stand where their time is, not at "now"
+        for calls, most, times, end, limits in TRACES:
+            assert page.evaluate(TRACED, [calls, most]) == [times, end, pytest.approx(limits)]
         others = [stream(server) for _ in range(MOST_PAGES - 1)]
         one_more = page.context.new_page()
         one_more.route("**/viewer.js", lambda route: route.abort())  # its pictures take long
