@@ -242,45 +242,31 @@ def test_readings_of_noise_alone_do_not_hide_a_lag():
         module.clock_lag(*signals, 5.0, np.zeros(6))
 
 
-def test_a_share_of_six_tenths_of_the_readings_is_unexplained():
-    """Noise of 0.6 on a motion of 0.8 is refused, and said so; lines explain all of a line, nothing of its mirror."""
-    q = motion(4000)
-    noise = np.random.default_rng(1).normal(size=4000)
-    u = (0.8 * q[:, 0] + 0.6 * noise)[:, None]
-    t = np.arange(4000) / 40
-    with pytest.raises(InputError, match=r"of one motion; instead received (59|60|61)% of the readings"):
-        module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0, np.zeros(1))
-    x = q[:, :1]
-    for u, left in ((3 * x + 1, 0.0), (-x, 1.0), (0.8 * x + 0.6 * noise[:, None], 0.36)):
-        assert module.unexplained(u, x) == pytest.approx(left, abs=0.03)
-
-
 @pytest.mark.parametrize("share", [0.45, 0.55])
 def test_readings_of_which_half_is_unexplained_are_of_no_motion(share):
+    """Which is said; lines explain all of a line, nothing of its mirror."""
     q, t = motion(4000), np.arange(4000) / 40
     u = np.sqrt(1 - share**2) * q[:, :1] + share * np.random.default_rng(1).normal(size=(4000, 1))
-    with pytest.raises(InputError, match="of one motion") if share > 0.5 else nullcontext():
+    words = "of one motion; instead received (54|55|56)% of the readings"
+    with pytest.raises(InputError, match=words) if share > 0.5 else nullcontext():
         assert module.clock_lag(Signal.of(t, q), Signal.of(t, u), 5.0, np.zeros(1)) == pytest.approx(
             0.0, abs=0.03
         )
+    for x, left in ((3 * q[:, :1] + 1, 0.0), (-q[:, :1], 1.0), (u, share**2)):
+        assert module.unexplained(x, q[:, :1]) == pytest.approx(left, abs=0.03)
 
 
 def test_a_lag_is_told_if_another_one_leaves_a_tenth_more():
     """A motion that repeats itself every 5 s, but for one reading that wanders; and noise."""
-    t, refused = np.arange(4000) / 40, []
+    t, ratios = np.arange(4000) / 40, []
     x = np.column_stack([np.sin(2 * np.pi * t / 5), np.cos(4 * np.pi * t / 5), motion(4000)[:, 0]])
-    noise = np.random.default_rng(1).normal(size=(4000, 3))
     for size in (0.05, 0.15, 0.25, 0.35, 0.6, 1.2):
-        u = x * [1, 1, size] @ np.ones((3, 3)) + 0.3 * noise
+        u = x * [1, 1, size] @ np.ones((3, 3)) + 0.3 * np.random.default_rng(1).normal(size=(4000, 3))
         found = search_lag(x, u / u.std(axis=0), 40, 12.0)
-        try:
+        ratios.append(found.other / found.best)
+        with nullcontext() if ratios[-1] > 1.1 else pytest.raises(InputError, match="alike at one lag only"):
             assert module.clock_lag(Signal.of(t, x), Signal.of(t, u), 12.0, np.zeros(3)) == 0.0
-        except InputError as error:
-            assert "alike at one lag only" in str(error)  # noqa: PT017
-            refused.append(found.other / found.best)
-            continue
-        assert found.other > 1.1 * found.best
-    assert 1.03 < max(refused) <= 1.1
+    assert [min(abs(np.array(ratios) - x)) < 0.1 for x in (1.05, 1.2)] == [True, True], ratios
 
 
 @pytest.mark.parametrize("gone", [199, 200])

@@ -858,8 +858,8 @@ def test_so_many_bytes_of_the_first_thousand_may_be_damaged(tmp_path, byte, most
 
 
 def test_seconds_begin_again_at_midnight_and_others_never(tmp_path):
-    for first, goes_on in ((86300.0, True), (100_000.0, False)):
-        text = "time_s,u1_mT\n" + "".join(f"{t},1.5\n" for t in (first, first + 50, 20.0, 70.0))
+    for first, then, goes_on in ((86300.0, 20.0, True), (100_000.0, 20_020.0, False)):
+        text = "time_s,u1_mT\n" + "".join(f"{t},1.5\n" for t in (first, first + 50, then, then + 50))
         with nullcontext() if goes_on else pytest.raises(InputError, match="did the board start again"):
             table = read_table(written(tmp_path, text))
             np.testing.assert_allclose(np.diff(table.times), [50.0, 70.0, 50.0])
