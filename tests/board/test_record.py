@@ -16,6 +16,7 @@ import tty
 import zlib
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from hypothesis import strategies as st
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Link, Robot, Sensor
 from repro_board import live as module
-from repro_board.live import Summary, record
+from repro_board.live import Summary, _Taker, record
 from repro_board.record import (
     MOST_LETTERS,
     Note,
@@ -37,7 +38,7 @@ from repro_board.record import (
 )
 from repro_board.session import open_port, ports
 from repro_board.steps import JUMPED, STANDS_STILL, Steps
-from repro_board.wire import encode
+from repro_board.wire import Parser, encode
 from tests.board.waiting import LONGEST_S, until
 
 START = 17 * 10**17
@@ -626,6 +627,17 @@ def test_a_lost_port_is_waited_for_and_marked(board, tmp_path, opened):
     recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
     assert (done.reconnects, done.samples) == (1, 19)
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "silent_s", "said"),
+    [(0.0, 0.5, False), (0.0, 1.5, True), (3.0, 5.0, False), (3.0, 6.5, True)],
+)
+def test_a_port_is_silent_after_a_second_or_twice_its_longest_pause(apart_s, silent_s, said):
+    taker = _Taker(SimpleNamespace(received=9), SimpleNamespace(opened=1, lost=""), Parser("csv"))
+    taker.apart_s = apart_s
+    taker.heard = taker.sampled = time.monotonic() - silent_s
+    assert [text.startswith("Nothing arrives any more.") for text in taker.wrong()] == [True] * said
 
 
 def test_one_of_a_kind_is_said_in_the_singular():
