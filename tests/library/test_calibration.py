@@ -673,12 +673,3 @@ def test_a_calibration_belongs_to_the_robot_of_its_file(tmp_path):
     again = calibrate(calibrate(robot, q, robot.sensing()(q)).robot, q, robot.sensing()(q))
     with pytest.raises(InputError, match="must be of a robot that load_robot has read"):
         again.save(tmp_path / "again.json")
-
-
-def test_one_wrong_cell_among_ten_poses_is_refused():
-    robot = with_chip()
-    q = shapes(10, np.random.default_rng(3))
-    wrong = q.copy()
-    wrong.flat[np.abs(q).argmax()] *= 0.8
-    with pytest.raises(InputError, match="poses and readings of calibrate must be"):
-        calibrate(robot, wrong, robot.sensing()(q), noise=1e-3)
