@@ -425,9 +425,12 @@ def test_claims_are_means_and_limits_of_what_is_printed_in_percent(data):
     assert found.loc["readings: mean 3.1", "here"] == f"{200 / np.ptp(data.tests['T0'].u):.1f}"
 
 
-def test_bends_away_from_a_recording_are_outside(data):
-    q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
-    assert table_2.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
+@pytest.mark.parametrize(("off_mm", "outside"), [(0.0, False), (0.49, False), (0.51, True), (20.0, True)])
+def test_bends_are_outside_from_half_a_millimetre_on_whatever_the_elongation(data, off_mm, outside):
+    one = replace(data.train, q=data.train.q[:1])
+    for step in np.array([[1, 0, 0], [0, -1, 0], [0.6, 0.8, 1e3]]):
+        assert table_2.outside(one, one.q + 1e-3 * off_mm * step).tolist() == [outside]
+    assert not table_2.outside(data.train, data.train.q).any()
 
 
 def test_ranges_say_where_rounding_decides():
