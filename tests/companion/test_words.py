@@ -156,6 +156,8 @@ BANDS = pd.DataFrame({
          "as you may have them, 2.0 to 4.6 mm."),
         (lambda: mitchell.segments_in_words(CLOUDS), "worth at most 4.0 particles. Its tip error is 7.0 to 9.0 mm,"),
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
+        (lambda: mitchell.segments_in_words(CLOUDS.assign(effective=[50.0, 1.49, 1.0])), "worth a single one. Its"),
+        (lambda: mitchell.segments_in_words(CLOUDS.assign(effective=[1.0, 1.51, 1.0])), "at most 1.5 particles"),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
         (lambda: mitchell.bulb_in_words(ATTEMPTS, False), "it finds these in 1 of 2 settings."),
         (lambda: martin.below_table_ii(RIGID),
