@@ -88,6 +88,13 @@ def test_rows_that_only_one_table_has_are_counted(root):
     assert said == ["series.csv has 9 rows that only one of the two has"]
 
 
+def test_columns_tell_rows_apart_if_they_do_so_in_both_tables(root):
+    (root / "old/pairs.csv").write_text("a,b,x_mm\n1,p,0.5\n2,q,0.5\n")
+    assert found(root, "a,b,x_mm\n1,r,0.5\n1,s,0.5\n", "pairs.csv") == [
+        "pairs.csv has 2 rows that only one of the two has"
+    ]
+
+
 def test_a_table_that_is_not_in_both_folders_is_named(root):
     assert found(root, TABLE, "new.csv") == [f"new.csv is missing in {root / 'old'}"]
 

@@ -309,8 +309,7 @@ def mirrored_chips(robot: Assembly) -> tuple[str, ...]:
     """
     bends = [g for g, segment in enumerate(robot.segments) if isinstance(segment, ConstantCurvature)]
     x = np.array([robot.coordinates.index(f"delta_x_{g + 1}") for g in bends], dtype=int)
-    turning = [name for name in robot.coordinates if not name.startswith("delta_")]
-    if not len(x) or turning or robot.total_noise is None or robot.lower is None:
+    if not len(x) or robot.total_noise is None or robot.lower is None:
         return ()
     bounds: Any = (robot.lower, robot.upper)
     q = np.random.default_rng(0).uniform(bounds[0], bounds[1], (20, robot.n_q))

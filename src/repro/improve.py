@@ -236,7 +236,7 @@ def _moved(part: Any, rng: np.random.Generator, reach: float | None) -> Any:
         value = (low + high + far) / 2 if reach is None else _value(part, name) + reach * far
         if name == "azimuth" and high - low > 2 * math.pi - 1e-9:
             value = low + (value - low) % (2 * math.pi)
-        value = min(max(round(value / unit, 1), round(low / unit, 6)), round(high / unit, 6)) * unit
+        value = min(max(round(value / unit, 1) * unit, low), high)
         if name == "azimuth" and part.position is not None:
             x, y, z = (1e3 * float(x) for x in part.position)
             xy = [round(math.hypot(x, y) * f(value), 3) for f in (math.cos, math.sin)]

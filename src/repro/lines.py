@@ -123,7 +123,7 @@ def plotted(text: str) -> tuple[str, str] | None:
 
 def fields(text: str) -> tuple[str, list[str]]:
     """Return the form of a line and its numbers, empty where one is missing."""
-    text = _EMPTY.sub("nan", _BLANKS.sub(r"\1", text))
+    text = _EMPTY.sub("nan", _BLANKS.sub(r"\1", text.replace(MARK, "\ufffd")))
     return _IN_LINE.sub(MARK, text), _IN_LINE.findall(text)
 
 

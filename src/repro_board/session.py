@@ -479,7 +479,7 @@ def _of_the_pace(session: Session) -> list[str]:
     another = stated and steady and not damaged and not 0.8 < rate / stated < 1.25
     word = "More" if rate > stated else "Fewer"
     odd = {
-        f"About {10 * round(10 * share) or 5} % of the frames are damaged: look at cable and --baud.": share
+        f"About {10 * round(10 * share)} % of the frames are damaged: look at cable and --baud.": share
         > 0.05,
         f"{word} than the {stated:g} time steps of the robot file arrive in a second.": another,
         "The estimator is slower than the board: time steps are left out.": recent["skipped"],

@@ -158,10 +158,11 @@ def magnetic(source, until_s, **options):
 
 
 def test_frames_hold_what_the_sensors_read_at_their_times():
-    found = samples(EXACT, 0.6, seed=3)
+    robot = EXACT.replaced(earth=[0.2, -0.1, 0.4])
+    found = samples(robot, 0.6, seed=3)
     times = np.arange(120) / 200.0
-    q = course(EXACT, times, seed=3)
-    u = simulated_readings(EXACT, q)
+    q = course(robot, times, seed=3)
+    u = simulated_readings(robot, q, [0.2, -0.1, 0.4])
     sent = np.zeros((120, 5))
     sent[:, 1] = 1.1 * u[:, 0] + 0.2
     sent[:, [4, 3, 2]] = 100.0 * u[:, 1:4]
@@ -400,6 +401,24 @@ def test_nothing_fails_before_its_time():
 
 
 # ------------------------------------------------------------------------------------------------- poses held
+@pytest.mark.parametrize(("free", "n"), [(1, 12), (2, 16), (3, 24)])
+def test_poses_fill_the_bounds_evenly_eight_for_each_coordinate_that_is_free(free, n):
+    high = 0.01 * (np.arange(3) < free)
+    poses = spread_poses(Robot([ConstantCurvature(0.1, 0.02)], lower=-high, upper=high, start=high / 2))
+    assert len(poses) == n
+    np.testing.assert_allclose(poses[0], high / 2)
+    cells = (np.sort(poses[1:] / 0.01 / REACH, axis=0) + 1) / 2 * (n - 1) - 0.5
+    np.testing.assert_allclose(cells[:, :free], np.tile(np.arange(n - 1.0)[:, None], free), atol=1e-9)
+    assert not poses[:, free:].any()
+
+
+def test_a_robot_goes_from_pose_to_pose_without_a_jerk_at_their_ends():
+    """The way of least jerk, in half a second: at rest, and without a force, at both ends."""
+    share = np.array([-0.1, 0.0, 0.1, 0.5, 0.9, 1.0, 1.1, 99.0])
+    way = held(np.array([[0.0], [2.0]]), 3.0, 3.0 + MOVE_S * share)[:, 0] / 2
+    np.testing.assert_allclose(way, [0.0, 0.0, 0.00856, 0.5, 0.99144, 1.0, 1.0, 1.0])
+
+
 def test_a_robot_stands_still_in_every_pose_of_its_table(tmp_path):
     poses = spread_poses(EXACT, seed=2)
     assert poses.shape == (48, 6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
+from contextlib import closing, nullcontext
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ from repro import (
     Sensor,
     track,
 )
-from repro_board.export import POSES, even_places, export, table_of
+from repro_board.export import POSES, estimates_table, even_places, export, table_of
 from repro_board.record import Writer, read_recording, readings_of
 from repro_board.wire import encode
 
@@ -292,6 +292,20 @@ def test_poses_need_the_robot_of_the_estimates(bending, recording, tmp_path):
         with pytest.raises(InputError, match=words):
             export(recording.path, tmp_path / "c.mcap", robot=model, estimates=path)
         assert not (tmp_path / "c.mcap").exists()
+
+
+@pytest.mark.parametrize("span_s", [10.0, 10_000.0])
+def test_estimates_may_begin_or_end_a_second_and_a_thousandth_beyond_the_recording(tmp_path, span_s):
+    spare, path = 1.0 + 1e-3 * span_s, tmp_path / "a.csv"
+    for more in (-1e-3, 1e-3):
+        for ends in ((-spare - more, span_s), (0.0, span_s + spare + more)):
+            pd.DataFrame({"time_s": ends, "status": "consistent"}).to_csv(path, index=False)
+            with (
+                pytest.raises(InputError, match="time_s of a.csv must be within")
+                if more > 0
+                else nullcontext()
+            ):
+                assert len(estimates_table(path, np.array([0.0, span_s]))) == 2
 
 
 def test_what_cannot_be_exported_is_refused_and_leaves_nothing(recording, tmp_path):

@@ -308,6 +308,10 @@ CASES = {
     ),
     "a third damaged": (lambda: session_of(damaged(sent(U[:90]), 3)), "About 30 % of the frames are damaged"),
     "half damaged": (lambda: session_of(damaged(sent(U[:90]), 2)), "About 50 % of the frames are damaged"),
+    "six of a hundred damaged": (
+        lambda: session_of(damaged(sent(U[:101]), 16)),
+        "About 10 % of the frames are d",
+    ),
     "another robot": (
         lambda: session_of(sent(U[:20, :6]), since_s=2),
         "What arrives does not fit this robot.",
@@ -351,13 +355,41 @@ def test_the_last_bytes_are_shown_where_they_are_no_readings():
     assert message(session_of(since_s=2).moment)["raw"] == ""
 
 
-def test_all_is_well_and_nothing_is_said():
-    session = session_of(sent(U[:100]))
+@pytest.mark.parametrize("every", [1000, 22])
+def test_all_is_well_and_nothing_is_said(every):
+    """Also of a twentieth of damaged frames, the first of which may have been cut."""
+    session = session_of(damaged(sent(U[:100]), every))
     assert said(session) == []
     assert session.moment.raw == ""
     assert summary(session)["fit"].startswith("consistent, residuals ")
     assert in_numbers(session)[0].startswith("tip x ")
     assert in_numbers(session)[3].endswith(" mm")
+
+
+def test_fit_and_latency_are_said_in_their_units():
+    session = session_of(sent(U[:3]))
+    t, u, found = session.last
+    session.last = t, u, found._replace(chi2=40.0, dof=10)
+    session.latencies.clear()
+    session.latencies.extend(np.arange(1, 102) / 1e3)
+    assert summary(session)["fit"].endswith("residuals 2.0 times the noise")
+    assert summary(session)["latency"] == "51 ms in the median, 1e+02 ms in 99 %"
+    session.latencies.extend(np.full(101, 1e-3))
+    assert summary(session)["latency"].startswith("1 ms in the median, 99 ms")
+
+
+@pytest.mark.parametrize(
+    ("share", "ends"),
+    [(0.259, " mm"), (0.261, " mm by its bounds alone"), (0.99, "alone"), (1.01, " undetermined")],
+)
+def test_a_deviation_is_seen_beside_what_the_bounds_leave(share, ends):
+    """A uniform distribution over them has their width over the root of 12: nine tenths of it are 0.26."""
+    session, width = session_of(), ROBOT.upper - ROBOT.lower
+    found = SimpleNamespace(q=ROBOT.usual_shape, covariance=np.diag((share * width) ** 2))
+    session.last = 0.0, U[0], found
+    coordinates = in_numbers(session)[3:]
+    assert [text.split()[0] for text in coordinates] == list(ROBOT.coordinates)
+    assert all(text.endswith(ends) for text in coordinates)
 
 
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
@@ -741,6 +773,43 @@ async def cut_off(server) -> None:
         page.detach().close()
 
 
+TRACED = """([calls, most]) => {
+    const traces = new Traces(null, 1, most ?? Infinity);
+    for (const call of calls) traces.add(...call);
+    return [traces.rows.map(([time]) => time), traces.end, traces.limits()];
+}"""
+TRACES = [
+    (
+        [[9, [1], 0], [1, [3], 0]],
+        None,
+        [1],
+        1,
+        [2.85, 3.15],
+    ),  # what a board sent before it began anew is gone
+    ([[10, [1], 0.2], [11, [3], 0.25]], None, [10, 11], 11, [0.9, 3.1]),
+    (
+        [[10, [1], 0.3], [11, [3], 5]],
+        None,
+        [10, 11],
+        16,
+        [0.9, 3.1],
+    ),  # old readings stand where their time is
+    ([[3, [1], 0], [3, [1], 0], [4, [3], 0]], None, [3, 4], 4, [0.9, 3.1]),
+    ([[0, [1], 0], [20, [3], 0]], None, [0, 20], 20, [0.9, 3.1]),
+    ([[0, [9], 0], [19, [1], 0], [20.1, [3], 0]], None, [19, 20.1], 20.1, [0.9, 3.1]),
+    (
+        [[0, [-1], 0], [1, [2], 0]],
+        30,
+        [0, 1],
+        1,
+        [-4.4, 4.4],
+    ),  # residuals: four deviations at least, 30 at most
+    ([[0, [-29], 0], [1, [99], 0]], 30, [0, 1], 1, [-31.95, 32.95]),
+    ([[0, [-99], 0], [1, [0], 0]], 30, [0, 1], 1, [-31.7, 5.7]),
+]
+"""Readings with their ages, a limit for them, and the times that are kept, where "now" is, and what is drawn."""
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
 @pytest.mark.slow
 def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, stream, width, scheme):
@@ -756,12 +825,8 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert red(page.locator("#shape canvas")) > 50
-        ends = "[0.2, 5].map((age) => { const x = new Traces(null, 1); x.add(10, [1], age); return x.end; })"
-        anew = (
-            "(() => { const x = new Traces(null, 1); x.add(9, [1], 0); x.add(1, [2], 0); return x.rows; })()"
-        )
-        assert page.evaluate(anew) == [[1, [2]]]  # what a board sent before it began anew is gone
-        assert page.evaluate(ends) == [10, 15]  # old readings stand where their time is, not at "now"
+        for calls, most, times, end, limits in TRACES:
+            assert page.evaluate(TRACED, [calls, most]) == [times, end, pytest.approx(limits)]
         others = [stream(server) for _ in range(MOST_PAGES - 1)]
         one_more = page.context.new_page()
         one_more.route("**/viewer.js", lambda route: route.abort())  # its pictures take long

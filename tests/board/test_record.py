@@ -16,6 +16,7 @@ import tty
 import zlib
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from hypothesis import strategies as st
 from bench.soak import damaged, kills
 from repro import ConstantCurvature, Imu, InputError, Link, Robot, Sensor
 from repro_board import live as module
-from repro_board.live import record
+from repro_board.live import Summary, _Taker, record
 from repro_board.record import (
     MOST_LETTERS,
     Note,
@@ -37,7 +38,7 @@ from repro_board.record import (
 )
 from repro_board.session import open_port, ports
 from repro_board.steps import JUMPED, STANDS_STILL, Steps
-from repro_board.wire import encode
+from repro_board.wire import Parser, encode
 from tests.board.waiting import LONGEST_S, until
 
 START = 17 * 10**17
@@ -381,6 +382,22 @@ def test_times_of_the_board_are_on_the_computers_clock_whatever_the_delays(ppm):
     assert found == pytest.approx(ppm, abs=2.0)
 
 
+@pytest.mark.parametrize(
+    ("span_s", "slower", "found"),
+    [(9.9, 1e-3, "as sent"), (10.1, 1e-3, "corrected"), (600.0, 0.049, "corrected"), (600.0, 0.06, "none")],
+)
+def test_a_clock_is_corrected_from_ten_seconds_on_if_it_is_off_by_less_than_a_twentieth(
+    span_s, slower, found
+):
+    board = np.linspace(0.0, span_s, 2001)
+    times, ppm, _ = board_times(2e-3 + board * (1 + slower), 100.0 + board)
+    assert (times is None) == (found == "none")
+    if times is not None:
+        corrected = slower * (found == "corrected")
+        np.testing.assert_allclose(times - times[0], board * (1 + corrected), atol=1e-6)
+        assert ppm == pytest.approx(1e6 * (1 / (1 + corrected) - 1), abs=1e-3)
+
+
 def test_a_board_that_begins_anew_goes_on_in_time():
     sent = np.concatenate(
         [np.arange(0.0, 30.0, 0.01), np.arange(32.0, 60.0, 0.01), np.arange(75.0, 80.0, 0.01)]
@@ -610,6 +627,28 @@ def test_a_lost_port_is_waited_for_and_marked(board, tmp_path, opened):
     recording = read_recording(path)
     assert [sample.sequence for sample in recording.samples] == [*range(10), *range(11, 20)]
     assert (done.reconnects, done.samples) == (1, 19)
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "silent_s", "said"),
+    [(0.0, 0.5, False), (0.0, 1.5, True), (3.0, 5.0, False), (3.0, 6.5, True)],
+)
+def test_a_port_is_silent_after_a_second_or_twice_its_longest_pause(apart_s, silent_s, said):
+    taker = _Taker(SimpleNamespace(received=9), SimpleNamespace(opened=1, lost=""), Parser("csv"))
+    taker.apart_s = apart_s
+    taker.heard = taker.sampled = time.monotonic() - silent_s
+    assert [text.startswith("Nothing arrives any more.") for text in taker.wrong()] == [True] * said
+
+
+def test_one_of_a_kind_is_said_in_the_singular():
+    counters = {"frames": 20, "gaps": 1, "first_partial": 1, "restarts": 2, "repeats": 0}
+    said = Summary(None, 9.96, 100, 20, 1, "csv", counters, ("A remark.",), 3)
+    numbers = (
+        "10 s: 100 bytes, 20 samples of csv (2.0/s), 1 reconnect, 3 notes, 1 gap, 1 first partial, 2 restarts"
+    )
+    assert str(said) == f"{numbers}\nA remark."
+    short = said._replace(seconds=0.99, format=None, counters={}, reconnects=0, notes=1, remarks=())
+    assert str(short) == "1 s: 100 bytes, 20 samples of no known format, 1 note"
 
 
 def test_a_recording_of_nothing_leaves_no_file(board, tmp_path):

@@ -256,20 +256,37 @@ def test_the_slider_moves_shape_mark_and_words_by_keyboard(opened, page_file, wi
     assert left(mark) == pytest.approx(at(0.0) - 1, abs=1.5)
 
 
-JOINED = """(gap) => {
+DRAWN = """([rows, gap]) => {
     const canvas = document.body.appendChild(make("canvas"));
     canvas.style.cssText = "width: 400px; height: 100px";
-    drawLines(canvas, { rows: [[0, [1]], [10, [1]]], count: 1, limits: [0, 3], labels: [], gap, from: 0, to: 10 });
+    drawLines(canvas, { rows, count: 1, limits: [0, 3], labels: [], gap, from: 0, to: 10 });
     const { data } = canvas.getContext("2d").getImageData(canvas.width / 2, 0, 1, canvas.height);
+    const ratio = canvas.height / 100;
     canvas.remove();
-    return data.some((_, k) => k % 4 === 0 && data[k + 2] - data[k] > 60);
+    return [...data.keys()].filter((k) => k % 4 === 0 && data[k + 2] - data[k] > 60).map((k) => k / 4 / ratio);
 }"""
-"""Whether a blue line leads from one value to another that is 10 s later."""
+"""How far below the top a blue line is in the middle of 10 s [px]."""
 
 
-def test_lines_over_time_have_round_ticks_room_and_gaps(opened):
+def test_lines_over_time_have_round_ticks_room_and_gaps(opened, page_file):
     page = opened(1400, "light")
-    assert [page.evaluate(JOINED, gap) for gap in (9, 10, 11)] == [False, True, True]
+    joined = [page.evaluate(DRAWN, [[[0, [1]], [10, [1]]], gap]) for gap in (9, 10, 11)]
+    assert [bool(line) for line in joined] == [False, True, True]
+    for value, below in (
+        (0, 80),
+        (1, 56),
+        (3, 8),
+        (9, 8),
+        (-9, 80),
+    ):  # beyond the limits it stays at the edge
+        line = page.evaluate(DRAWN, [[[0, [value]], [10, [value]]], 11])
+        assert np.mean(line) == pytest.approx(below, abs=1.0)
+    texts = ["0.00", "-0.00", "-0.01", "-10", "5"]
+    assert page.evaluate("(texts) => texts.map(signed)", texts) == ["0.00", "0.00", "−0.01", "−10", "5"]
+    times = np.array(told(page_file)[1]["time_s"])
+    between = np.linspace(times[0] - 1, times[-1] + 1, 23).tolist()
+    expected = [int(np.abs(times - time).argmin()) for time in between]
+    assert page.evaluate("(times) => times.map(nearest)", between) == expected
     for low, high in ((0, 0.03), (-4, 4), (1, 1.7), (0, 2500)):
         values, digits = page.evaluate(f"ticks({low}, {high})")
         assert 4 <= len(values) <= 7

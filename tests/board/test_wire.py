@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from repro import InputError
-from repro_board.wire import COUNTERS, FORMATS, WRAP, Parser, encode, text_line
+from repro_board.wire import COUNTERS, FORMATS, WRAP, Parser, encode, is_text, text_line
 
 FLOATS = st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=59)
 INTEGERS = st.lists(st.integers(-32768, 32767), min_size=1, max_size=118)
@@ -283,6 +283,16 @@ def test_there_is_no_other_format_or_width(given_format, message):
         Parser(*given_format)
 
 
+@pytest.mark.parametrize("format", [None, "frames", "csv", "millivolts"])
+def test_a_sample_has_up_to_118_values(format):
+    for channels in (1, 118):
+        assert Parser(format, channels).format == format
+    for channels in (0, 119):
+        with pytest.raises(InputError, match=f"must be 1 to 118; instead received {channels}"):
+            Parser(format, channels)
+    assert [len(lines(*[",".join(["1.5"] * n)] * 3)[1]) for n in (118, 119)] == [3, 0]
+
+
 # ---- lines of the papers ----
 
 
@@ -478,6 +488,17 @@ def test_the_first_lines_that_agree_fix_the_form(good, other):
     assert parser.counters["malformed"] == 1
 
 
+def test_times_of_a_sketch_are_from_zero_to_ten_thousand_million_seconds():
+    for time_s, there in (("0", True), ("1e10", True), ("1.1e10", False), ("-1", False), ("nan", False)):
+        _, samples = lines("time_s,x", *["1,2"] * 3, f"{time_s},3")
+        assert (len(samples) == 4) == there
+
+
+def test_bytes_are_text_if_more_than_nine_of_ten_are_printed():
+    for odd in (9, 10):
+        assert is_text(b"ab \t\r\n~123"[:10] * 9 + b"a" * (10 - odd) + b"\xff" * odd) == (odd < 10)
+
+
 def test_decimal_commas_are_refused_whatever_separates():
     for k in range(3):
         printed = [
@@ -492,6 +513,12 @@ def test_decimal_commas_are_refused_whatever_separates():
     parser, samples = lines(*printed)
     assert len(samples) == 31
     assert parser.counters["malformed"] == 169
+
+
+def test_whole_numbers_in_pairs_are_believed_after_twenty_lines():
+    """One decimal in ten begins with a zero, which no whole number does; other lines need three."""
+    for line, least in (("512,37", 20), ("512,3", 3), ("512,37,4", 3), ("512", 3)):
+        assert [len(lines(*[line] * n)[1]) for n in (least - 1, least)] == [0, least]
 
 
 def test_damaged_whole_numbers_are_no_decimal_commas():

@@ -107,6 +107,14 @@ def test_more_noise_is_twenty_times_as_much_on_the_same_robot():
     assert np.array_equal(more.poses, less.poses)
 
 
+def test_errors_are_told_apart_by_the_two_noises_of_the_study():
+    noisy = pd.DataFrame(
+        {"row": "n_b=1", "method": ["a", "b"] * 2, "error_percent": [1.0, 2.0, 3.0, 4.0]}
+    ).assign(noise_mt=np.repeat([baaij.NOISE_MT, baaij.MORE_NOISE_MT], 2))
+    for found, errors in zip(baaij.by_noise(noisy[::-1]), ([1, 2], [3, 4]), strict=True):
+        assert found.loc["n_b=1", ["a", "b"]].tolist() == errors
+
+
 @pytest.mark.parametrize(("name", "rel"), [("n_b=1", 2e-4), ("n_s=6", 1e-2)])
 def test_the_study_of_robots_with_errors_comes_out_again(name, rel):
     """Also with six readings of nine unknowns, where the estimator decides most of the error."""

@@ -169,11 +169,18 @@ def test_a_redirect_is_followed_and_nothing_else_of_it_is_read(sources, tmp_path
     assert Server.sent["circle"] - before < 50e6, "of 650 MB with each redirect"
 
 
-def test_after_some_silence_no_other_file_is_tried(sources, tmp_path, monkeypatch):
-    monkeypatch.setattr(tool, "_download", lambda *_: tool.NO_ANSWER)
+@pytest.mark.parametrize(
+    ("answers", "tried"), [("sssss", 3), ("sswss", 5), ("wwwww", 5), ("sgsss", 5), ("gsssg", 4)]
+)
+def test_after_three_silent_files_in_a_row_no_other_is_tried(sources, tmp_path, monkeypatch, answers, tried):
+    """Files do not answer (s), are wrong (w) or good (g)."""
+    said = [{"s": tool.NO_ANSWER, "w": "it is wrong", "g": ""}[answer] for answer in answers]
+    rest = iter(said)
+    monkeypatch.setattr(tool, "_download", lambda *_: next(rest))
     text, _ = tool.fetch(sources * 5, tmp_path)
-    assert text.count("did not answer in time") == 3
-    assert text.count("not tried, because nothing answered for those before") == 2
+    for why in (tool.NO_ANSWER, "it is wrong"):
+        assert text.count(why) == said[:tried].count(why)
+    assert text.count("not tried, because nothing answered for those before") == 5 - tried
     with pytest.raises(InputError, match="mirror of repro fetch must be an address that starts with http"):
         tool.fetch(sources, tmp_path, "ftp://x/y")
 

@@ -167,6 +167,7 @@ def test_errors_of_a_loop_by_hand():
     q = cases.reference[:100].copy()
     command = q.copy()
     command[90:, :, 0] = baaij.bounds(1)[1][0]
+    command[:, :, 2] = baaij.bounds(1)[1][2]  # an elongation bounds no bend
     off = np.zeros((100, 1, 3))
     off[::4] = 2.0  # once in four samples: 1 in the root mean square, a half in the mean
     off[:80] = 9.0  # before the loop has settled

@@ -291,6 +291,15 @@ def test_raw_quaternions_are_read_in_the_inferred_form(recording, trial, clock_s
     path.parent.mkdir(parents=True, exist_ok=True)
     messages = quaternion_messages(replace(trial, orientations=trial.orientations[:1500]), clock_s[:1500])
     messages.loc[40:47, [".w", ".x", ".y", ".z"]] = 0.0  # one round that an IMU did not answer
+    sized = messages.copy()  # a twentieth too small or too large is no orientation, and a smaller error one
+    sized.loc[80:95, [".w", ".x", ".y", ".z"]] = np.repeat([[0.94, 0, 0, 0], [0, 0, 0, 1.06]], 8, axis=0)
+    sized.loc[96:111, [".w", ".x", ".y", ".z"]] *= np.repeat([[0.96], [1.04]], 8, axis=0)
+    found = []
+    for table in (messages.drop(range(80, 96)), sized):
+        table.to_csv(path, index=False)
+        found.append(martin_files.read_quaternions(path))
+    np.testing.assert_array_equal(found[1][0], found[0][0])
+    np.testing.assert_allclose(found[1][1], found[0][1], rtol=0, atol=1e-9)
     messages.iloc[np.r_[0:80, 81, 80, 82 : len(messages)]].to_csv(path, index=False)  # two of them exchanged
     times, q = martin_files.read_quaternions(path)
     own = np.searchsorted(clock_s, times + times[0], side="right") - 1

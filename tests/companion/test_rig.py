@@ -2,6 +2,7 @@
 
 import json
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 from hashlib import sha256
 from types import SimpleNamespace
@@ -46,16 +47,20 @@ def test_simulated_recordings_are_those_of_the_first_edition():
     np.testing.assert_allclose(t1.q[::20], STORED["rig_q"], rtol=0, atol=2e-6)
 
 
-def test_the_pose_of_the_ring_gives_the_configuration():
-    q = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [9e-3, 9e-3, 3e-3]
-    q[0] = 0.0
-    q[1, :2] = 1e-9  # nearly straight
+def of_ring(q):
+    """What motion capture sees of the base, and of the ring in configurations."""
     T = rig.robot().poses(q, [place("ring", 1, rig.MARKERS_AT)])[:, 0]
     xyzw = Rotation.from_matrix(T[:, :3, :3]).inv().as_quat()
     turned = simulated_rig._capture_axes
     ring = np.column_stack([turned(xyzw[:, :3]), xyzw[:, 3], turned(T[:, :3, 3])])
-    base = np.array([0, 0, 0, 1, *turned(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]])
-    np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "law"), q, atol=1e-10)
+    return np.array([0, 0, 0, 1, *turned(np.array([[0, 0, rig.BASE_HEIGHT]]))[0]]), ring
+
+
+def test_the_pose_of_the_ring_gives_the_configuration():
+    q = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [9e-3, 9e-3, 3e-3]
+    q[0] = 0.0
+    q[1, :2] = 1e-9  # nearly straight
+    np.testing.assert_allclose(rig.configurations(rig.Capture(*of_ring(q)), "law"), q, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", rig.TRAJECTORIES)
@@ -214,6 +219,44 @@ def test_a_ring_that_is_lost_for_long_is_refused():
     ring[3:6] = np.nan
     with pytest.raises(InputError, match="lost for at most 2 frames.*instead received lost for 3 frames"):
         rig.configurations(rig.Capture(ring[0], ring), "gap")
+
+
+def test_two_lost_frames_are_interpolated_whatever_the_signs_of_the_quaternions():
+    s = np.linspace(0.0, 1.0, 60)[:, None]
+    q = np.sin(np.add(s, [0.0, 1.0, 2.0])) * [9e-3, 9e-3, 3e-3] - [0.0, 0.0, 3e-3]
+    base, ring = of_ring(q - q[0])
+    whole = rig.configurations(rig.Capture(base, ring), "whole")
+    ring[:, :4] *= np.random.default_rng(0).choice([-1.0, 1.0], (60, 1))
+    ring[[7, 8, 20, 33, 34, 50]] = np.nan
+    np.testing.assert_allclose(rig.configurations(rig.Capture(base, ring), "seen"), whole, atol=1e-5)
+
+
+def test_an_alignment_is_doubted_by_half_and_an_eighth_of_a_second_and_refused_by_twice_and_half():
+    """How much better the readings fit the motion elsewhere, and how far away; noise hides it."""
+    said = set()
+    slow = np.cumsum(np.random.default_rng(1).normal(size=(2000, 3)), axis=0)
+    q, noise = slow / slow.std(0), np.random.default_rng(0).normal(size=(2000, 3))
+    for late in (5, 6, 19, 21):
+        for size in (0.02, 0.14, 0.2, 0.25, 0.35):
+            u = np.roll(q, late, axis=0)[late:] + size * noise[late:]
+            found = rig.search_lag(q[late:], u, rig.RATE_HZ)
+            gain, far = found.residual / found.best, abs(found.lag_s)
+            assert far == pytest.approx(late / rig.RATE_HZ, abs=0.03)
+            expected = (
+                "refused" if gain >= 2 and far >= 0.5 else "doubt" if gain > 1.5 and far > 0.125 else ""
+            )
+            with pytest.raises(InputError) if expected == "refused" else nullcontext():
+                words = " ".join(rig.doubts(q[late:], u, "a"))
+                assert ("doubt" in words) == bool(words) == (expected == "doubt")
+            said.add((late, expected))
+    assert said >= {
+        (5, ""),
+        (6, "doubt"),
+        (19, "doubt"),
+        (21, "doubt"),
+        (21, "refused"),
+        (21, ""),
+    }
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -420,9 +463,12 @@ def test_estimates_in_another_valley_are_counted():
     assert not table_2.trapped_in_words([Squares()], q[:1], Squares()(measured[:1]), estimates[:1, None])
 
 
-def test_bends_away_from_a_recording_are_outside(data):
-    q = data.train.q[:3] + np.array([[0, 0, 1.0], [0.4e-3, 0, 0], [0, -2e-2, 0]])
-    assert table_2.outside(data.train, q[:, None])[:, 0].tolist() == [False, False, True]
+@pytest.mark.parametrize(("off_mm", "outside"), [(0.0, False), (0.49, False), (0.51, True), (20.0, True)])
+def test_bends_are_outside_from_half_a_millimetre_on_whatever_the_elongation(data, off_mm, outside):
+    one = replace(data.train, q=data.train.q[:1])
+    for step in np.array([[1, 0, 0], [0, -1, 0], [0.6, 0.8, 1e3]]):
+        assert table_2.outside(one, one.q + 1e-3 * off_mm * step).tolist() == [outside]
+    assert not table_2.outside(data.train, data.train.q).any()
 
 
 def test_ranges_say_where_rounding_decides():

@@ -23,6 +23,28 @@ def test_errors_are_root_mean_squares_before_and_after():
     assert list(found["all sensors", "after"].round(9)) == [10, 5, 2.5]
 
 
+def test_what_a_failure_costs_by_hand():
+    """Means over coordinates and networks, and changes of each network; a small change is no minus zero."""
+    found = {
+        "all sensors": [[2.0, 2.0, 2.0], [2.0, 2.0, 2.0]],
+        "failure": [[1.97, 3.0, 2.0], [2.5, 1.0, 2.3]],
+    }
+    lines = [
+        (seed, run, "after", f"{name}_1", error)
+        for run, networks in found.items()
+        for seed, errors in enumerate(networks)
+        for name, error in zip(failure.KINDS, errors, strict=True)
+    ]
+    columns = ["member", "run", "part", "quantity", "error_percent"]
+    table = failure.cost(pd.DataFrame([*lines, (0, "failure", "before", "delta_x_1", 99.0)], columns=columns))
+    assert list(table["", "coordinate"]) == [*failure.KINDS.values(), "mean"]
+    np.testing.assert_allclose(table["error [%]", "with failure"], [2.235, 2.0, 2.15, 12.77 / 6])
+    np.testing.assert_allclose(table["error [%]", "all sensors"], 2.0)
+    changes = table["change, network"].to_numpy()
+    np.testing.assert_allclose(changes.T, [[0.0, 1.0, 0.0, 0.3], [0.5, -1.0, 0.3, -0.1]])
+    assert not np.signbit(changes[0, 0])
+
+
 def test_a_lost_sensor_costs_the_roots_of_one_two_and_three():
     _, J = repro.Sensing(baaij.robot(1, 4)).linearise([0.0, 0.0, 2.75e-3])
     four, three = (np.linalg.inv(rows.T @ rows).diagonal() for rows in (J, J[:3]))

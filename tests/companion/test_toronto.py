@@ -138,6 +138,24 @@ def test_white_and_lasting_errors_are_told_apart(monkeypatch):
     assert np.isinf(toronto.tracker_errors(np.zeros(18))["lasts_s"]).all()  # an offset never fades
 
 
+def test_steps_over_a_pause_are_no_white_errors(monkeypatch):
+    """Frames are 60 ms apart, but for a pause of 110 ms over which a lasting error has changed."""
+    times, T = np.cumsum(np.where(np.arange(90) == 45, 0.11, 0.06)), np.tile(np.eye(4), (90, 1, 1))
+    truth = toronto.poses(np.repeat([[0.0] * 6, [1e-3] * 6], 45, axis=0))
+    monkeypatch.setattr(toronto, "tracker_pairs", lambda: [(times, T, truth)] * 2)
+    np.testing.assert_allclose(toronto.tracker_errors(np.zeros(18))["white"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", toronto.shape_models())
+def test_stations_are_on_the_arm_and_a_joint_belongs_to_the_segment_before_it(model):
+    robot = toronto.shape_models()[model]
+    length = robot.segments[0].length
+    for arc, (segment, place) in zip(toronto.STATIONS, toronto.at_stations(robot), strict=True):
+        assert 1 <= segment <= len(robot.segments)
+        assert (segment - 1) * length + place == pytest.approx(arc, rel=1e-12)
+        assert 0 < place <= length
+
+
 def test_readings_of_all_sensors_are_on_one_clock(slow):
     assert (np.diff(slow.time_s) > 0).all()
     assert slow.time_s[0] >= 19.0

@@ -64,6 +64,7 @@ def test_the_stated_uncertainty_of_the_tip_is_right_if_the_drift_is_in_the_state
     late = run.times > 300
     error, _, nees = wandering.tip_errors(run, found)
     once = track(wandering.kalman_filter([]), run.readings, wandering.START, times=run.times, monitor=None)
+    assert 0.2 < np.median(once.chi2[:100] / once.dof[:100]) < 1  # where nothing wanders the sway is noise
     off, _, of_once = wandering.tip_errors(run, once)
     assert 0.5 < nees[late].mean() < 1.5
     assert of_once[late].mean() > 3

@@ -186,6 +186,8 @@ BANDS = pd.DataFrame({
         (lambda: mitchell.segments_in_words(CLOUDS), "the error of least squares is 0.20 to 0.30 mm."),
         (lambda: mitchell_takes.bulb_in_words(ATTEMPTS, False), "finds 2, 3, 1 events, and 7 in the trial run."),
         (lambda: mitchell_takes.bulb_in_words(ATTEMPTS, False), "it finds these in 1 of 2 settings."),
+        (lambda: mitchell.segments_in_words(CLOUDS.assign(effective=[50.0, 1.49, 1.0])), "worth a single one. Its"),
+        (lambda: mitchell.segments_in_words(CLOUDS.assign(effective=[1.0, 1.51, 1.0])), "at most 1.5 particles"),
         (lambda: martin.below_table_ii(RIGID),
          "10.0 % (M1) and 20.0 % (M2). With the rigid links of the text they are 30.0 % (M1) and 40.0 % (M2)."),
         (lambda: martin_files.tables_in_words(pd.DataFrame({

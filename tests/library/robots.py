@@ -33,6 +33,7 @@ SEGMENTS = {
     "affine": AffineCurvature(0.2),
     "link": Link(0.03),
     "elbow": Link(0.03, offset=[0.01, -0.02, 0.005], orientation=[0.1, 0.5, 0.1, 0.73**0.5]),
+    "plate": Link(0.0, offset=[0.01, -0.02, 0.0]),
     "joint": BallJoint("xyz"),
     "universal": BallJoint("xy"),
     "hinge": BallJoint("y"),

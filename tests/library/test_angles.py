@@ -65,6 +65,8 @@ def test_means_of_angles_are_those_a_person_draws():
     assert np.degrees(one.mean(degrees[:2], np.full(2, 0.5)))[0] == pytest.approx(180.0)
     assert np.degrees(one.mean(degrees, np.full(3, 1 / 3)))[0] == pytest.approx(-170.0, abs=0.2)
     body = FreeAngles([(0, 1, 2)], np.full(3, -HALF), np.full(3, HALF))
+    three = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, -2.0]])  # the lightest has its own mean
+    np.testing.assert_allclose(body.mean(three, np.array([0.5, 0.3, 0.2])), [0.0, 0.0, 0.2], atol=1e-12)
     found = body.mean(np.array([[3.0, 0.0, 0.0], [-3.0, 0.0, 0.0]]), np.array([0.5, 0.5]))
     np.testing.assert_allclose(
         Rotation.from_rotvec(found).as_matrix(), np.diag([1.0, -1.0, -1.0]), atol=1e-12

@@ -22,7 +22,7 @@ from repro import (
     smooth,
     track,
 )
-from repro.estimators.base import Estimator
+from repro.estimators.base import Estimator, evenly
 from repro.estimators.rod import Rod, RodFilter, RodSensor
 
 from .robots import bounds, paper_robot
@@ -281,3 +281,13 @@ def test_rows_are_the_same_whether_written_at_once_or_some_at_a_time(monkeypatch
         if isinstance(expected, np.ndarray):
             assert found.dtype == expected.dtype, name
             np.testing.assert_array_equal(found, expected, name)
+
+
+@pytest.mark.parametrize("n", [1, 7, 100, 1000])
+def test_starts_fill_a_box_evenly_from_its_middle_on(n):
+    """In one dimension the golden ratio leaves no gap as wide as two and a half even ones."""
+    one, many = evenly(np.array([-1.0]), np.array([3.0]), n), evenly(LOW, HIGH, n)
+    assert one[0] == [1.0]
+    np.testing.assert_allclose(many[0], (LOW + HIGH) / 2)
+    assert ((many >= LOW) & (many <= HIGH)).all()
+    assert np.diff(np.sort(np.r_[-1.0, one[:, 0], 3.0])).max() < 2.5 * 4.0 / n

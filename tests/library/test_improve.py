@@ -11,7 +11,7 @@ import pytest
 
 from repro import ConstantCurvature, Disc, InputError, Link, Magnet, Ring, Robot, Sensor, load_robot
 from repro.check import check_design, median_tip
-from repro.improve import improve_design, median_of
+from repro.improve import _moved, improve_design, median_of
 from repro.robot_file import write_improved
 
 FEW = {"samples": 60, "tries": 60}
@@ -195,6 +195,32 @@ def test_a_part_off_the_backbone_turns_around_it_at_its_distance():
     assert math.hypot(x, y) == pytest.approx(0.005, abs=1e-6)
     assert z == 0.001
     assert 0.5 - 1e-3 <= math.atan2(y, x) <= 2.5 + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "now", "step"),
+    [
+        ("at", 0.0, 0.0333, 0.03, 1e-4),
+        ("azimuth", -1.0, 1.0, 0.9, math.radians(0.1)),
+        ("azimuth", 0.0, 2 * math.pi, 0.05, math.radians(0.1)),
+    ],
+)
+def test_a_free_number_moves_by_a_share_of_its_range_and_stays_in_it(name, low, high, now, step):
+    """All over it without a share; a whole turn has no end."""
+    chip, rng = (
+        Sensor(1, **{"at": 0.01, "radial": 0.01, name: now}, free={name: (low, high)}),
+        np.random.default_rng(0),
+    )
+    for share in (0.01, 0.3, None):
+        found = np.array([getattr(_moved(chip, rng, share), name) for _ in range(300)])
+        assert ((found >= low) & (found <= high)).all()
+        if share is None:
+            assert np.ptp(found) > 0.95 * (high - low)
+            continue
+        away, most = found - now, share * (high - low)
+        away = away - high * np.round(away / high) if high > 6 else away
+        assert np.abs(away).max() <= most + step / 2
+        assert away.min() < -0.9 * most + step / 2
 
 
 def test_a_ring_keeps_its_wall():

@@ -126,6 +126,15 @@ def test_links_that_lead_aside_are_those_of_a_robot_and_are_found():
     assert without.arm(drawn) is drawn
 
 
+@pytest.mark.parametrize(("last", "imus", "links"), [(0.05, "1", "1"), (0.1, "12", "1"), (0.11, "12", "12")])
+def test_only_what_comes_before_the_last_marker_may_be_off(last, imus, links):
+    """An IMU at the last marker turns the link that ends there; a link that begins there moves no marker."""
+    arm = Arm([1, 2], [0.0, 0.1], [0.1, 0.15], markers=[last])
+    names = calibrate_imus(bent(3, 40, 2), np.zeros((40, 1, 3)), rigid_body, arm, link=0.02).names
+    for part, expected in (("heading_", imus), ("mounting_x_", imus), ("link_z_", links)):
+        assert "".join(name[-1] for name in names if name.startswith(part)) == expected
+
+
 def test_the_residual_is_the_root_mean_square_of_distances():
     """Markers that are 1 mm to one side and the other in turn: no frame explains it."""
     q = bent(3, 40, 9)

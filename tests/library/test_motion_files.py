@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
@@ -393,6 +394,33 @@ class TestMeasuredPoses:
             "Poses of the table left out, outside the robot's bounds, for delta_x_1 -30 to 30 mm: 1 of 120 "
             "(line 71).",
         )
+
+    @pytest.mark.parametrize(("step_s", "lost"), [(0.49, 21), (0.51, 0)])
+    def test_rows_half_a_second_apart_are_no_frames(self, step_s, lost):
+        """Of frames a run of equal ones that ends in a jump is frozen."""
+        robot, q = self.arm(), self.q()
+        q[80:102] = q[80]
+        frame = pd.DataFrame(1e3 * q, columns=[f"{name}_mm" for name in robot.coordinates])
+        frame["time_s"] = step_s * np.arange(120)
+        assert np.isnan(read_poses(robot, frame).q[:, 0]).sum() == lost
+
+    @pytest.mark.parametrize("n", [59, 61])
+    def test_frames_of_zeros_are_lost_if_they_are_fewer_than_half(self, n):
+        """Else the robot stands straight. They are spread over the motion, so that none is frozen."""
+        robot, q = self.arm(), self.q()
+        zero = np.argsort(np.arange(120) * 49 % 120) < n
+        q[zero] = 0.0
+        frame = pd.DataFrame(1e3 * q, columns=[f"{name}_mm" for name in robot.coordinates])
+        found = read_poses(robot, frame.assign(time_s=0.01 * np.arange(120)))
+        assert np.isnan(found.q[:, 0]).tolist() == (zero & (n < 60)).tolist()
+
+    @pytest.mark.parametrize("n", [6, 7])
+    def test_a_twentieth_of_the_poses_may_be_far_outside_the_bounds(self, n):
+        robot, q = self.arm(), self.q()
+        q[5 : 5 + n, 0] = 0.5
+        frame = pd.DataFrame(1e3 * q, columns=[f"{name}_mm" for name in robot.coordinates])
+        with pytest.raises(InputError, match=f"{n} of 120 poses outside") if n > 6 else nullcontext():
+            assert np.isnan(read_poses(robot, frame).q[:, 0]).sum() == n
 
     def test_poses_that_were_held_for_a_while(self):
         """A table of poses for a calibration: the straight one is no lost frame."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -209,6 +210,27 @@ class TestQuaternions:
     def test_what_is_no_orientation_is_refused(self, tmp_path, changes, message):
         with pytest.raises(InputError, match=f"quaternions of imu 1 of mine.csv must be {message}"):
             self.arm().readings(written(tmp_path, self.table(**changes)))
+
+    def test_two_quaternions_and_a_hundredth_may_be_damaged(self, tmp_path):
+        rows = self.table().splitlines()
+        for n in (2, 3):
+            others = [
+                row.rsplit(",", 1)[0] + ",3.0" if k % 20 == 1 and k < 20 * n else row
+                for k, row in enumerate(rows)
+            ]
+            path = written(tmp_path, "\n".join(others) + "\n")
+            with pytest.raises(InputError, match="of norm 1") if n > 2 else nullcontext():
+                assert np.isnan(self.arm().readings(path)[:, 0]).sum() == n
+
+    @pytest.mark.parametrize("degrees", [155.0, 165.0])
+    def test_an_orientation_is_believed_up_to_160_degrees(self, degrees):
+        """With w first it would be one of less than half of that."""
+        q = np.tile(Rotation.from_rotvec([degrees, 0, 0], degrees=True).as_quat(), (5, 1))
+        arm = Robot([ConstantCurvature(0.1, 1.0)], imus=[Imu(1, 0.1)])
+        with pytest.raises(InputError, match="in the order x, y, z, w") if degrees > 160 else nullcontext():
+            assert np.degrees(
+                arm.readings(pd.DataFrame(q, columns=["qx_1", "qy_1", "qz_1", "qw_1"]))[0, 0]
+            ) == pytest.approx(degrees)
 
 
 class TestPoses:

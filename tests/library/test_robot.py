@@ -61,6 +61,16 @@ def test_an_arc_is_the_circle_of_its_curvature(x, y, v):
     np.testing.assert_allclose(T[:3, :3], expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("length", [0.0, 1e-3, 0.1, 5.0])
+def test_a_part_lies_on_its_segment_and_not_a_nanometre_beyond(length):
+    robot = Robot([Link(0.2), Link(length)])
+    for at in (0.0, length, length * (1 + 1e-14)):
+        np.testing.assert_allclose(robot.poses([], [point_on(2, at)])[0, 2, 3], 0.2 + at, rtol=1e-15)
+    for segment, at in ((2, -1e-9), (2, length + 1e-9), (0, 1e-9), (3, 0.0)):
+        with pytest.raises(InputError, match="places of Robot must be (between 0 and|on a segment from 0)"):
+            robot.poses([], [point_on(segment, at)])
+
+
 def test_places_are_printed_only_where_they_are_refused(monkeypatch):
     """To print one takes many times as long as its pose."""
     robot, place = Robot([ConstantCurvature(0.1, 1.0)]), point_on(1, 0.05)
@@ -121,6 +131,23 @@ ONE = Robot([ConstantCurvature(0.1, 0.02)])
             "direction of Sensor must be a vector that is not zero",
         ),
         (lambda: Imu(1, 0.1, [0, 0, 0, 2]), r"unit quaternions XYZW \(norm 1 within 0.001\); .* a norm of 2"),
+        *(
+            (lambda x=x: Sensor(1, 0.1, **x), f"{next(iter(x))} .*of Sensor must be {words}")
+            for x, words in (
+                ({"resolution": 5.0, "range": 5.0}, "from 0 to below the range"),
+                ({"resolution": -1e-9}, "from 0 to below the range"),
+                ({"noise": 0.0}, "positive"),
+                ({"noise": [1.0, 1.0, 1.0]}, "one number or 1, one for every axis"),
+                ({"gain": 0.0}, "not zero"),
+                ({"per_mt": 0.0}, "not zero"),
+                ({"axes": 2}, "1 or 3"),
+                ({"channels": "u1"}, "a list of 1, one for every axis"),
+                ({"tolerance": {"tilt": -1e-9}}, "not negative"),
+                ({"tolerance": {"heading": 0.1}}, "of position, at, radius"),
+                ({"free": {"at": (0.1, 0.1)}}, r"\(lowest, highest\)"),
+                ({"free": {"height": (0.1, 0.2)}}, "of at, azimuth"),
+            )
+        ),
         (lambda: Sensor("tip", 0.1), "segment of Sensor must be 0 or above"),
         (lambda: Robot([Link(0.1)]).tip([1.0]), r"q of Robot must be of last dimension 0 \(\)"),
         (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -410,6 +411,13 @@ class TestCalibrationFile:
                 {"covariance": np.diag([-1.0] + [1.0] * 21)},
                 "covariance of changed.json must be that of random",
             ),
+            ({"covariance": 1.001 * np.eye(22)}, "covariance of changed.json must be that of random"),
+            (
+                {"covariance": np.eye(22) + np.eye(22, k=1) / 9},
+                "covariance of changed.json must be that of random",
+            ),
+            ({"model_error": -np.eye(3)}, "model_error of changed.json must be a covariance of readings"),
+            ({"model_error": np.eye(3, k=1)}, "model_error of changed.json must be a covariance of readings"),
             ({"covariance": 1 - 2 * np.eye(22)}, "covariance of changed.json must be that of random"),
             (
                 {"schema": 2},
@@ -427,6 +435,30 @@ class TestCalibrationFile:
         path.write_text(json.dumps(content), encoding="utf-8")
         with pytest.raises(InputError, match=re.escape(message)):
             load_robot(ROBOTS / "one_segment.toml", path)
+
+
+def test_bounds_that_are_left_out_are_ninety_degrees_and_a_tenth_of_the_length(tmp_path):
+    """Of an affine segment kappa_1 may be twice as much; angles come round."""
+    arc = '[[segments]]\nkind = "constant_curvature"\nlength_mm = 100.0\nradius_mm = 20.0\n'
+    affine = '[[segments]]\nkind = "affine_curvature"\nlength_mm = 200.0\n'
+    robot = read(tmp_path, f'{arc}{affine}[[segments]]\nkind = "ball_joint"\n')
+    q = np.pi / 2
+    high = [0.02 * q, 0.02 * q, 0.01, q, 2 * q, np.pi, 0.02, np.pi, np.pi, np.pi]
+    np.testing.assert_allclose([robot.lower, robot.upper], [np.negative(high), high])
+    for shortest in (-99.9, -100.0):
+        with (
+            pytest.raises(InputError, match="above -100 .mm., which leaves")
+            if shortest < -99.95
+            else nullcontext()
+        ):
+            read(tmp_path, f"{arc}delta_L_mm = [{shortest}, 10.0]\n")
+
+
+@pytest.mark.parametrize(("high", "start", "good"), [(180, 200, True), (170, 200, False), (170, 170, True)])
+def test_a_start_is_within_its_bounds_unless_the_angle_comes_round(tmp_path, high, start, good):
+    joint = f'[[segments]]\nkind = "ball_joint"\nrx_deg = [-180, {high}]\nstart = {{ rx_deg = {start} }}\n'
+    with nullcontext() if good else pytest.raises(InputError, match="rx_deg .*must be within its bounds"):
+        assert read(tmp_path, joint).start == pytest.approx(np.radians([start]))
 
 
 def test_what_newcomers_mistake_is_answered_where_it_stands(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 import repro
 from repro import ConstantCurvature, InputError, Robot, Sensor
 from repro.common import bad_input
-from repro.tables import read_table
+from repro.lines import MARK, fields, labelled
+from repro.tables import read_table, text_of
 
 ROWS = np.array([[0.0, -2.125, 3.5, 0.25], [0.05, -2.25, 3.375, 0.5], [0.1, -2.5, 3.25, 0.75]])
 HEADER = ["time_s", "u1_mT", "u2_mT", "u3_mT"]
@@ -74,6 +76,9 @@ SPELLINGS = {
     "labels": "".join(f"t_s: {t} u1: {a:g} mT, u2={b} mT u3:{c}mT\n" for t, a, b, c in ROWS),
     "labels and one unit at the end": "".join(
         f"t: {t}, u1: {1e3 * a}, u2: {1e3 * b}, u3: {1e3 * c} uT\n" for t, a, b, c in ROWS
+    ),
+    "labels and a unit of each": "".join(
+        f"t: {t} s u1: {1e3 * a} uT u2: {b} mT u3: {10 * c} G\n" for t, a, b, c in ROWS
     ),
     "JSON": "".join(f'{{"t_s": {t}, "u1": {a}, "u2": {b}, "u3": {c}}}\n' for t, a, b, c in ROWS),
     "one number a line": "".join(
@@ -552,6 +557,45 @@ def test_a_packed_file_is_no_text(tmp_path, pack):
     path.write_bytes(pack(lines(rows=np.random.default_rng(0).normal(size=(100, 4))).encode()))
     with pytest.raises(InputError, match="instead received bytes that are no text .packed, or a spreadsheet"):
         read_table(path)
+
+
+@given(st.text("\0\ufffdu1: .5,-e=;\tT"))
+def test_every_mark_in_the_form_of_a_line_is_a_number(text):
+    """Also where a damaged byte looks like a mark."""
+    form, cells = fields(text)
+    assert form.count(MARK) == len(cells)
+    assert labelled(text).keys() >= set()
+
+
+@pytest.mark.parametrize(("byte", "most", "what"), [(0, 100, "zero"), (1, 50, "no text")])
+def test_so_many_bytes_of_the_first_thousand_may_be_damaged(tmp_path, byte, most, what):
+    path = tmp_path / "mine.csv"
+    for n in (most, most + 1):
+        path.write_bytes(bytes([byte]) * n + b"1" * (1000 - n) + b"\n" * 9000)
+        with pytest.raises(InputError, match=f"bytes that are {what}") if n > most else nullcontext():
+            text_of(path, [])
+
+
+def test_seconds_begin_again_at_midnight_and_others_never(tmp_path):
+    for first, then, goes_on in ((86300.0, 20.0, True), (100_000.0, 20_020.0, False)):
+        text = "time_s,u1_mT\n" + "".join(f"{t},1.5\n" for t in (first, first + 50, then, then + 50))
+        with nullcontext() if goes_on else pytest.raises(InputError, match="did the board start again"):
+            table = read_table(written(tmp_path, text))
+            np.testing.assert_allclose(np.diff(table.times), [50.0, 70.0, 50.0])
+
+
+def test_columns_that_take_turns_take_two_at_least():
+    for n in (5, 6):
+        frame = pd.DataFrame({f"u{k}": np.where(np.arange(n) % 3 == k, 1.5, np.nan) for k in range(3)})
+        assert len(read_table(frame).values) == (n if n < 6 else 2)
+
+
+@pytest.mark.parametrize("share", [1, 3])
+def test_a_label_that_one_line_of_fifty_has_is_a_column(tmp_path, share):
+    """That of one in fifty or fewer is what a board says now and then."""
+    text = [f"u1: {k}.5" + ", u2: 7" * (k % 100 < share) for k in range(100)]
+    names = read_table(written(tmp_path, "\n".join(text) + "\n")).names
+    assert names == (("u1", "u2") if share > 2 else ("u1",))
 
 
 def test_a_rate_is_positive_and_never_ignored_in_silence(tmp_path):
