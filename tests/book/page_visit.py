@@ -32,14 +32,18 @@ FACTS = """async () => {
   });
   const prose = document.querySelector('main').cloneNode(true);
   prose.querySelectorAll('pre, code, script, style, mjx-container').forEach(part => part.remove());
+  const tex = prose.textContent.match(/\\\\[a-z]{2,}|\\\\[()[\\]]|[_^]\\{/gi) || [];
+  const beside = 'table, figcaption, details, noscript, svg, .live-figure, .shape-view';
+  prose.querySelectorAll(beside).forEach(part => part.remove());
   return {
+    words: (prose.querySelector('article').textContent.match(/[\\p{L}'’]+/gu) || []).length,
     squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),
     formulas: document.querySelectorAll('.math').length,
     rendered: document.querySelectorAll('.math > mjx-container').length,
     errors: document.querySelectorAll('mjx-merror, [data-mjx-error]').length,
-    tex: prose.textContent.match(/\\\\[a-z]{2,}|\\\\[()[\\]]|[_^]\\{/gi) || [],
+    tex,
     views: [...document.querySelectorAll('.shape-view')].map(view => new Blob([view.outerHTML]).size),
   };
 }"""

@@ -44,6 +44,8 @@ CONTRAST_OF_CODE = """async () => {
     failed: nodes('violations').slice(0, 5).map(node => `${node.html}: ${node.failureSummary}`),
   };
 }"""
+MOST_WORDS = 1000
+"""Of a notebook's page, without folds, captions, tables, code and formulas."""
 LANDING_LIMIT_BYTES = 1_000_000
 PAGE_LIMIT_BYTES = 2_000_000
 """Without 3-D views and MathJax, which many pages share; the theme included."""
@@ -73,6 +75,8 @@ def test_page(name, browser, record_property):
         assert "Traceback (most recent call last)" not in seen.facts["text"]
     _check_images_and_formulas(seen)
     assert not [url for url in seen.requests if "fa-solid" in url], "an icon that ICONS of repro_site lacks"
+    if name.startswith("notebooks/"):
+        assert seen.facts["words"] <= MOST_WORDS, "fold what is beside the thread"
     assert seen.facts["squeezed"] == [], "cells of a table with less than ten letters to a line"
     for width, overflow in seen.overflow.items():
         assert overflow["scroll"] <= width, f"too wide for {width} px: {overflow['wide']}"
