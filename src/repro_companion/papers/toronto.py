@@ -515,9 +515,8 @@ def choice_in_words(trackers: pd.DataFrame, slow: pd.Series, choice: pd.DataFram
     return (
         f"After calibration the tip's tracker is wrong by {tip['position_mm']:.1f} mm and"
         f" {tip['rotation_deg']:.1f}° along and about each axis. The slow trial chooses *{kept}* with"
-        f" {slow[kept]:.1f} mm, and {others}. This rule counts filter and smoother, in the slow trial only: our"
-        f" smoother alone has a smaller error with *inflated* than with *white* in {lower.sum()} of {lower.size}"
-        " cases (raw or calibrated, by trial)."
+        f" {slow[kept]:.1f} mm, and {others}. By our smoother alone, *inflated* would be better than *white* in"
+        f" {lower.sum()} of {lower.size} cases (raw or calibrated, by trial)."
     )
 
 
