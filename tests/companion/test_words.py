@@ -255,7 +255,7 @@ BANDS = pd.DataFrame({
          "5.0 mm, and *inflated* has 7.0 mm and *estimated* has 6.0 mm. By our smoother alone, "
          "*inflated* would be better than *white* in 1 of 4 cases (raw or calibrated, by trial)."),
         (lambda: toronto.choice_in_words(TRACKERS, SLOW - [0, 0, 3], CHOICE),
-         "The slow trial chooses *estimated* with 3.0 mm, and *white* has 5.0 mm and *inflated* has 7.0 mm. This"),
+         "The slow trial chooses *estimated* with 3.0 mm, and *white* has 5.0 mm and *inflated* has 7.0 mm. By"),
         (lambda: toronto.sure_in_words(OFF, BANDS, "white", 0.9),
          "off by 5 to 8 mm along the arm in the trials that had no part in its settings, and by 3 mm in the slow "
          "trial, on which we chose them. The ellipsoids of filter and smoother should cover 90 % of the positions. "
