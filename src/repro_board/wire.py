@@ -36,6 +36,8 @@ COUNTERS = (
     "frames", "checksum_errors", "malformed", "oversized", "first_partial", "gaps", "restarts", "repeats",
     "discarded_bytes",
 )  # fmt: skip
+DAMAGED = ("checksum_errors", "malformed", "oversized")
+"""Of these counters: what was dropped because it is damaged."""
 WRAP = 1 << 32
 """Sequence numbers and times [µs] of a board begin again from 0 after this."""
 MOST_VALUES = 118
@@ -132,7 +134,7 @@ _LAYOUTS = {
     for n in range(1, most + 1)
 }
 """By type and count of the values, as in a frame: its length, the type and the count."""
-_PRINTED = re.compile(rb"[\t -~]{12,}\r?\n")
+_PRINTED = re.compile(rb"[\t -~]{12}\r?\n")
 
 
 class _Frames(_Packets):

@@ -230,6 +230,15 @@ def test_text_among_frames_is_told_and_costs_none():
     assert parser.remarks == ["Text arrives among the frames: a board that prints lines has the format csv."]
 
 
+def test_a_line_without_an_end_costs_no_more_than_its_bytes():
+    """A search that began anew at each letter would take hours here."""
+    parser = Parser()
+    for _ in range(64):
+        parser.feed(b"1.5,2.5," * 2048)
+    assert parser.counters["discarded_bytes"] == 1 << 20
+    assert (parser.counters["oversized"], parser.counters["frames"]) == (1, 0)
+
+
 # ---- which format ----
 
 
