@@ -599,6 +599,9 @@ class Parser:
         if self.format is None and self.counters["discarded_bytes"] > _UNKNOWN_BYTES:
             words = "No frame and no lines of numbers arrive: are baud rate and format right?"
             self.remarks += [words] * (words not in self.remarks)
+        if not found and b"\0" in data and self._given in FORMATS[1:] and _Frames(None).feed(data):
+            words = f"Frames arrive among the lines: their format is frames, not {self._given}."
+            self.remarks += [words] * (words not in self.remarks)
         return found
 
     def reopened(self) -> None:
