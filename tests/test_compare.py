@@ -148,8 +148,9 @@ def test_of_the_methods_of_table_2_only_those_with_the_chaotic_step_may_move(tmp
     assert guarded == ["ours", "descent", "half step", "filter"]
 
 
+@pytest.mark.parametrize("name", ["results/table_2.csv", "data/tolerances.csv"])
 @pytest.mark.parametrize("content", [b"\xaf\xff,1\n2,3\n", b'a,b\n"1,2\n', b"a\n1,2\n3\n4,5,6\n"])
-def test_what_is_no_table_is_refused_by_its_name(root, content):
-    (root / "results/table_2.csv").write_bytes(content)
-    with pytest.raises(InputError, match=r"results/table_2.csv must be a table in UTF-8 with commas"):
+def test_what_is_no_table_is_refused_by_its_name(root, content, name):
+    (root / name).write_bytes(content)
+    with pytest.raises(InputError, match=f"{name} must be a table in UTF-8 with commas"):
         compare_folders(root / "old", root / "results", root)

@@ -144,7 +144,7 @@ def _are_tables(x: object) -> bool:
 
 
 def _is_channel(x: object) -> bool:
-    return isinstance(x, str | int) and bool(x)
+    return bool(x) and (x.isprintable() if isinstance(x, str) else isinstance(x, int))
 
 
 def _channels(n: int) -> _Key:
@@ -152,7 +152,11 @@ def _channels(n: int) -> _Key:
     return _Key(words, lambda x: isinstance(x, list) and len(x) == n and all(map(_is_channel, x)), None)
 
 
-_TEXT = _Key("a name", lambda x: isinstance(x, str) and x != "", None)
+_TEXT = _Key(
+    "a name in one line that can be printed",
+    lambda x: isinstance(x, str) and x.isprintable() and x != "",
+    None,
+)
 _TABLE = _Key("a table { key = number, ... }", lambda x: isinstance(x, dict), {})
 _LENGTH, _SIZE = _number(1.0, 5000.0, "mm"), _number(0.5, 200.0, "mm")
 _STRETCH, _BEND, _TURN = _bounds(1000.0, 0.05, "mm"), _bounds(2000.0, 0.05, "mm"), _bounds(720.0, 0.5, "deg")
@@ -415,7 +419,9 @@ def _robot(document: _Document, folder: Path, sha256: str) -> Robot:
     top = document.read(
         {
             "earth_mt": _vector("along x, y, z of the base", "mT", most=1.0)._replace(doubt=_doubt_of_earth),
-            "base_orientation": _quaternion("from the frame of the base to the world of the IMUs"),
+            "base_orientation": _quaternion("from the frame of the base to the world of the IMUs")._replace(
+                fits=lambda x: _numbers(x, 4) and abs(math.hypot(*x) - 1) <= 1e-3
+            ),
             "stream": _TABLE,
             "model": _TABLE,
             **{name: _Key(f"tables [[{name}]]", _are_tables, []) for name in _PARTS},

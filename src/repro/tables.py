@@ -192,7 +192,7 @@ def _with_times(frame: Any, remarks: list[str]) -> Any:
 def text_of(path: Path, remarks: list[str]) -> str:
     """Return the text of a file; other than UTF-8 and UTF-16 with a byte order mark it is told or refused."""
     content = path.read_bytes()
-    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff") and content[2:4] != b"\0\0"  # that is UTF-32
     few_zeros = 10 * content[:1000].count(0) <= len(content[:1000])  # they are damage
     received = "bytes that are zero (a binary file, or UTF-16 without a mark: save it as UTF-8)"
     expected = "text in UTF-8, or in UTF-16 with a byte order mark"
@@ -242,7 +242,7 @@ def _file(path: Path, remarks: list[str]) -> tuple[Table, list[int]]:
     require(plain, "file", owner, "a table", "nothing")
     marks = Counter(":" if _labels(x) else separator(x) for x in plain[:: 1 + len(plain) // 500])
     mark = marks.most_common(1)[0][0]
-    rows = _labelled(printed) if mark == ":" else [_Row(k, _cells(line, mark, owner)) for k, line in printed]
+    rows = _labelled(printed) if mark == ":" else [_Row(k, _cells(line, mark)) for k, line in printed]
     given, units, body, damaged = _named(rows, mark, owner, remarks)
     restarts = [row.line for row in rows if row.cells == given][1:]
     header = tuple(map(printable, given)) or tuple(f"column {k + 1}" for k in range(len(body[0].cells)))
@@ -285,12 +285,12 @@ def _labelled(printed: list[tuple[int, str]]) -> list[_Row]:
     return [_Row(0, names), *rows]
 
 
-def _cells(line: str, mark: str, owner: str) -> list[str]:
+def _cells(line: str, mark: str) -> list[str]:
     stamp, arrow, line = line.rpartition(" -> ")
     try:
         by_mark = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
-    except csv.Error as error:
-        raise bad_input("file", owner, "a table", error) from error
+    except csv.Error:  # a cell is longer than any number or name
+        by_mark = line.split(mark)
     found = line.split() if mark == " " else by_mark
     return [cell.strip() for cell in ([stamp, *found] if arrow else found)]
 

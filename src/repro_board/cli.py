@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -47,6 +48,14 @@ def as_typed(_: object, tokens: Sequence[Token]) -> list[tuple[str, str]]:
     return list(zip(words[::2], words[1::2], strict=True))
 
 
+def as_whole(_: object, tokens: Sequence[Token]) -> int:
+    """Return a whole number; what is none is refused, where cyclopts would round it."""
+    text = tokens[0].value
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+        raise ValueError(f"it must be a whole number of at most 18 digits; instead received {text}.")
+    return int(text)
+
+
 def pairs(*names: str) -> Parameter:
     """Return an option of a name and a value that may be given several times."""
     return Parameter(
@@ -62,6 +71,8 @@ def pairs(*names: str) -> Parameter:
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 NewFile = Annotated[Path, Parameter(name=["-o", "--output"])]
+Whole = Annotated[int, Parameter(converter=as_whole)]
+MaybeWhole = Annotated[int | None, Parameter(converter=as_whole)]
 Flag = Annotated[bool, Parameter(negative="")]
 Names = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
 Faults = Annotated[list[tuple[str, str]] | None, pairs("--fault")]
@@ -72,7 +83,7 @@ def check(
     robot: Path,
     /,
     *,
-    samples: int = 400,
+    samples: Whole = 400,
     target_mm: float | None = None,
     improve: Flag = False,
     before_calibration: Flag = False,
@@ -324,9 +335,9 @@ def record(
     /,
     *,
     output: Output = None,
-    baud: int = 115200,
+    baud: Whole = 115200,
     format: str = "",
-    channels: int | None = None,
+    channels: MaybeWhole = None,
     duration: float = math.inf,
     list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
@@ -383,9 +394,9 @@ def live(
     output: Output = None,
     estimates: Path | None = None,
     browser: Flag = False,
-    browser_socket: int = 0,
+    browser_socket: Whole = 0,
     failed: Names = None,
-    baud: int = 115200,
+    baud: Whole = 115200,
     format: str = "",
     duration: float = math.inf,
     grown: float = 1.0,
@@ -484,9 +495,9 @@ def emulate(
     hold: float | None = None,
     fault: Faults = None,
     fault_from: float = 0.0,
-    seed: int = 0,
+    seed: Whole = 0,
     port_file: Path | None = None,
-    socket: int | None = None,
+    socket: MaybeWhole = None,
 ) -> int:
     """Play readings into a port as a board would: repro emulate ROBOT.toml or RECORDING; stop with Ctrl-C.
 

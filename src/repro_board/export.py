@@ -178,7 +178,9 @@ def estimates_table(path: str | Path, times: Array | None = None) -> pd.DataFram
         raise bad_input("estimates", path.name, "a table of repro track", error) from error
     there = "time_s" in table and "status" in table and len(table) and table["time_s"].dtype.kind in "if"
     require(there, "estimates", path.name, "a table of repro track", ", ".join(map(str, table.columns)))
-    at = table["time_s"]
+    at, cut = table["time_s"], table["status"].isna().to_numpy()
+    received = f"line {2 + int(cut.argmax())} without a status (cut off?)"
+    require(not cut.any(), "estimates", path.name, "a whole table of repro track", received)
     require((np.diff(at) > 0).all(), "time_s", path.name, "increasing", "times that do not")
     if times is not None:
         first, last = float(times[0]), float(times[-1])

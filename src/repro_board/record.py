@@ -45,7 +45,7 @@ from repro.common import Array, require, whole
 from repro.readings import Readings, read_readings
 from repro.robot import Robot
 from repro_board.steps import STANDS_STILL, STILL, Labels, Steps
-from repro_board.wire import FORMATS, Parser, Sample
+from repro_board.wire import DAMAGED, FORMATS, Parser, Sample
 
 _MAGIC = b"RRB3"
 _KNOWN, _ANOTHER = re.compile(b"RRB[23]"), re.compile(b"RRB[^23]")
@@ -237,7 +237,7 @@ def read_recording(path: str | Path, *, as_stated: bool = True) -> Recording:
         if found.samples:
             other = f"{path.name} was recorded as {stated}, but its bytes are {found.format}, and are read so"
             return found._replace(remarks=(*found.remarks, other))
-    remarks += parser.remarks
+    remarks += [*parser.remarks, *_lost(parser.counters)]
     times, unix_s = _times(samples, arrived, remarks)
     notes = sorted(Note(ns / 1e9 - (unix_s if samples else began), text) for ns, text in noted)
     if samples and (early := sum(note.time_s < 0 for note in notes)):
@@ -246,6 +246,16 @@ def read_recording(path: str | Path, *, as_stated: bool = True) -> Recording:
         path, about, samples, arrived, times, unix_s, parser.format, parser.names, parser.units, {**parser.counters},
         tuple(remarks), notes,
     )  # fmt: skip
+
+
+def _lost(counters: dict[str, int]) -> list[str]:
+    """Return what a parser dropped and missed, one sentence for each kind."""
+    counts = {
+        "frames or lines that are damaged, and left out": sum(counters[name] for name in DAMAGED),
+        "frames that are missing by their numbers": counters["gaps"],
+        "times that the board began anew": counters["restarts"],
+    }
+    return [f"{what}: {n}" for what, n in counts.items() if n]
 
 
 class _Block(NamedTuple):

@@ -46,7 +46,7 @@ from repro_board.evaluate import ESTIMATORS, estimator_of
 from repro_board.shape_view import view
 from repro_board.steps import Step, Steps
 from repro_board.view import SILENT_S, UNKNOWN, Moment, Row, Shared
-from repro_board.wire import Parser, is_text, raw
+from repro_board.wire import DAMAGED, Parser, is_text, raw
 
 MOST_BYTES = 65536
 """Bytes taken from a port at once."""
@@ -155,7 +155,6 @@ def ports() -> str:
 
 BY_BOUNDS = 0.9 / math.sqrt(12)
 """Standard deviation from which a coordinate is known by its bounds alone [widths of the bounds]."""
-_DAMAGED = ("checksum_errors", "malformed", "oversized")
 BOOT_TEXT = "It is text, but not of the expected form. Many boards print such lines when they start."
 _ASK = "Is --baud the rate of the board, and does it send what the robot file says?"
 
@@ -472,7 +471,7 @@ def _of_the_wire(session: Session) -> str:
 def _of_the_pace(session: Session) -> list[str]:
     """Return what is odd about the number of frames and time steps."""
     (recent, span_s), stated = session.recent(), session.robot.rate_hz or 0.0
-    damaged = sum(recent.get(name, 0) for name in _DAMAGED)
+    damaged = sum(recent.get(name, 0) for name in DAMAGED)
     share, rate = damaged / max(damaged + recent["frames"], 1), recent["time_steps"] / span_s
     goes_on = session.silent_s < max(SILENT_S / 4, session.apart_s)
     steady = goes_on and session.counters()["time_steps"] > recent["time_steps"] > 0

@@ -36,6 +36,8 @@ COUNTERS = (
     "frames", "checksum_errors", "malformed", "oversized", "first_partial", "gaps", "restarts", "repeats",
     "discarded_bytes",
 )  # fmt: skip
+DAMAGED = ("checksum_errors", "malformed", "oversized")
+"""Of these counters: what was dropped because it is damaged."""
 WRAP = 1 << 32
 """Sequence numbers and times [µs] of a board begin again from 0 after this."""
 MOST_VALUES = 118
@@ -132,7 +134,7 @@ _LAYOUTS = {
     for n in range(1, most + 1)
 }
 """By type and count of the values, as in a frame: its length, the type and the count."""
-_PRINTED = re.compile(rb"[\t -~]{12,}\r?\n")
+_PRINTED = re.compile(rb"[\t -~]{12}\r?\n")
 
 
 class _Frames(_Packets):
@@ -596,6 +598,9 @@ class Parser:
         self.counters["frames"] += len(found)
         if self.format is None and self.counters["discarded_bytes"] > _UNKNOWN_BYTES:
             words = "No frame and no lines of numbers arrive: are baud rate and format right?"
+            self.remarks += [words] * (words not in self.remarks)
+        if not found and b"\0" in data and self._given in FORMATS[1:] and _Frames(None).feed(data):
+            words = f"Frames arrive among the lines: their format is frames, not {self._given}."
             self.remarks += [words] * (words not in self.remarks)
         return found
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from repro_board.cli import BOOK, EXTRAS, Output, app, pairs, says_extras
+from repro_board.cli import BOOK, EXTRAS, Output, Whole, app, pairs, says_extras
 from repro_board.cli import main as run_command
 from repro_companion import run as tool
 from repro_companion.papers import fetch as files
@@ -78,7 +78,7 @@ def sweep(
     /,
     *,
     parameters: Given = None,
-    jobs: int = 0,
+    jobs: Whole = 0,
     scheduler: str = "",
     output: Output = None,
 ) -> int:

@@ -128,7 +128,11 @@ def compare_tables(old: Path, new: Path, tolerances: pd.DataFrame) -> list[str]:
 
 def read_tolerances(root: Path) -> pd.DataFrame:
     """Return the lines of ``data/tolerances.csv``."""
-    return pd.read_csv(root / "data" / "tolerances.csv", comment="#", dtype={"tolerance": float})
+    path = root / "data" / "tolerances.csv"
+    try:
+        return pd.read_csv(path, comment="#", dtype={"tolerance": float})
+    except ValueError as error:
+        raise bad_input("file", str(path), "a table in UTF-8 with commas", error) from error
 
 
 def row_texts(table: pd.DataFrame) -> list[str]:

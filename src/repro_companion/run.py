@@ -114,6 +114,15 @@ def check_place(output: Path, root: Path, notebook: Path | None = None) -> None:
         output.suffix == ".ipynb" and not output.is_dir() and output.resolve() != (notebook or root).resolve()
     )
     require(notebook is None or named, "output", "repro", "another file whose name ends in .ipynb", output)
+    folder = output.absolute() if notebook is None else output.absolute().parent
+    lowest = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+    require(
+        lowest.is_dir(),
+        "output",
+        "repro",
+        "in folders, there already or new",
+        f"{output}: {lowest.name} is a file",
+    )
 
 
 def declared(notebook: Path) -> dict[str, Parameter]:

@@ -196,6 +196,9 @@ def test_a_port_is_recorded_and_followed(folder, monkeypatch, capsys):
         ("live nowhere --robot robot.toml --grown 1e300", "must be positive and at most 1e6"),
         ("live nowhere --robot robot.toml -o x --estimates x", "must be another file than the recording"),
         ("emulate robot.toml --tolerances 1e300", "must be 0 to 100"),
+        ("check robot.toml --samples 50.7", "--samples: it must be a whole number"),
+        ("record nowhere -o x.rec --channels 2.5", "--channels: it must be a whole number"),
+        ("emulate robot.toml --seed 0.4", "--seed: it must be a whole number"),
         ("weigh robot.toml", "weigh"),
     ],
 )

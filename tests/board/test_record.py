@@ -297,6 +297,24 @@ def test_ten_gaps_are_named(tmp_path, gaps, end):
     assert said.endswith(end)
 
 
+@settings(max_examples=25)
+@given(st.lists(st.sampled_from(["whole", "half", "lost"]), min_size=2, max_size=20), st.booleans())
+def test_every_frame_that_did_not_arrive_whole_is_told(tmp_path_factory, fates, again):
+    """Of those between two whole ones the numbers tell; after a restart they begin again."""
+    sent = ["whole", *fates, "whole"]
+    parts = {"whole": lambda x: x, "half": lambda x: x[: len(x) // 2], "lost": lambda _: b""}
+    data = [parts[fate](x) for fate, x in zip(sent, frames(range(len(sent))), strict=True)]
+    path = written(tmp_path_factory.mktemp("c") / "a.rec", data + list(frames(range(2))) * again)
+    recording = read_recording(path)
+    halves, missing = sent.count("half"), len(sent) - sent.count("whole")
+    assert len(recording.samples) == sent.count("whole") + 2 * again
+    assert recording.remarks[-3:] == (
+        *[f"frames or lines that are damaged, and left out: {halves}"] * bool(halves),
+        *[f"frames that are missing by their numbers: {missing}"] * bool(missing),
+        *["times that the board began anew: 1"] * again,
+    )
+
+
 def test_blocks_that_are_missing_are_named_by_their_numbers(tmp_path):
     path = written(tmp_path / "a.rec", frames(range(9)))
     data = path.read_bytes()

@@ -199,6 +199,21 @@ def test_what_cannot_be_shown_is_refused_and_leaves_nothing(folder, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize("cell", ["delta_x_1_mm", "tip_z_sd_mm", "status"])
+def test_estimates_that_were_cut_are_refused_by_their_line(folder, tmp_path, cell):
+    """In the middle of a row, in whichever cell before the status is whole."""
+    head, *rows = (folder / "shape.csv").read_text().splitlines()
+    before = rows[9].split(",")[: head.split(",").index(cell)]
+    (tmp_path / "cut.csv").write_text("\n".join([head, *rows[:9], ",".join([*before, ""])]))
+    words = "cut.csv must be a whole table of repro track; instead received line 11 without a status"
+    for source, options in (
+        (folder / "a.rec", {"estimates": tmp_path / "cut.csv"}),
+        (tmp_path / "cut.csv", {}),
+    ):
+        with pytest.raises(InputError, match=words):
+            read(source, folder / "robot.toml", **options)
+
+
 @pytest.fixture
 def opened(browser, page_file):
     """Return what opens the page from its file, wide or narrow, in light or dark."""

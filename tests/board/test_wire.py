@@ -230,6 +230,28 @@ def test_text_among_frames_is_told_and_costs_none():
     assert parser.remarks == ["Text arrives among the frames: a board that prints lines has the format csv."]
 
 
+def test_a_line_without_an_end_costs_no_more_than_its_bytes():
+    """A search that began anew at each letter would take hours here."""
+    parser = Parser()
+    for _ in range(64):
+        parser.feed(b"1.5,2.5," * 2048)
+    assert parser.counters["discarded_bytes"] == 1 << 20
+    assert (parser.counters["oversized"], parser.counters["frames"]) == (1, 0)
+
+
+@pytest.mark.parametrize("format", ["csv", "hall", "millivolts", "quaternions"])
+def test_frames_where_lines_are_stated_are_told(format):
+    said = f"Frames arrive among the lines: their format is frames, not {format}."
+    parser = Parser(format)
+    for k in range(5):
+        assert parser.feed(sent(1, k)) == []
+    assert parser.remarks.count(said) == 1
+    lines = Parser(format)
+    for k in range(5):
+        lines.feed(one(format, EXAMPLES[format], k) + b"\0")
+    assert said not in lines.remarks
+
+
 # ---- which format ----
 
 

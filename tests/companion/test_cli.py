@@ -69,6 +69,15 @@ def test_a_run_writes_tables_beside_its_output():
             "sweep notebooks/a.ipynb -p noise_mt 0,x",
             "must be float: a number, such as 1e-3; instead received x.",
         ),
+        (
+            "sweep notebooks/a.ipynb -p fast true --jobs 1.5",
+            "--jobs: it must be a whole number of at most 18 digits",
+        ),
+        (
+            "sweep notebooks/a.ipynb -p fast true -o requirements.lock/x",
+            "in folders, there already or new; instead received",
+        ),
+        ("run notebooks/a.ipynb -o requirements.lock/x.ipynb", "x.ipynb: requirements.lock is a file."),
         ("sweep notebooks/a.ipynb -p fast true --jobs -1", "must be at least 1; instead received -1."),
     ],
 )

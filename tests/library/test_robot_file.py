@@ -315,6 +315,22 @@ def test_files_that_are_not_there_or_no_text(tmp_path):
     assert load_robot(tmp_path / "robot.toml").n_q == 3
 
 
+@pytest.mark.parametrize("text", ["\\u001b]0;owned\\u0007", "two\\nlines", ""])
+def test_a_name_is_one_that_a_terminal_can_show(tmp_path, text):
+    """Else a file of somebody else's could write anything there."""
+    named = f'[[sensors]]\nname = "{text}"\n'
+    with pytest.raises(
+        InputError, match=r"\[\[sensors\]\] 1, must be a name in one line that can be printed"
+    ):
+        read(tmp_path, ONE.replace("[[sensors]]\n", named, 1))
+
+
+@pytest.mark.parametrize("q", ["[0, 0, 0, 0]", "[0.0, 0.0, 0.0, 2.0]", "[0, 0, 1]"])
+def test_an_orientation_of_the_base_is_one_also_without_imus(tmp_path, q):
+    with pytest.raises(InputError, match="base_orientation of robot.toml, line 1, must be 4 numbers, a unit"):
+        read(tmp_path, f"base_orientation = {q}\n{ONE}")
+
+
 class TestNetworks:
     """Networks named by a file: numbers in safetensors, in its folder; nothing else is read."""
 

@@ -242,10 +242,11 @@ def test_other_encodings(tmp_path):
     readings = robot().readings(path)
     np.testing.assert_allclose(readings, 1e-3 * ROWS[:, 1:])
     assert readings.remarks == ("mine.csv is not in UTF-8 (line 1): it is read as Windows-1252.",)
-    with pytest.raises(
-        InputError, match="must be text in UTF-8, or in UTF-16 with a byte order mark; instead"
-    ):
-        read_table(written(tmp_path, lines(), "utf-16-le"))
+    for other in ("utf-16-le", "utf-32"):
+        with pytest.raises(
+            InputError, match="must be text in UTF-8, or in UTF-16 with a byte order mark; instead"
+        ):
+            read_table(written(tmp_path, lines(), other))
 
 
 def test_equal_times(tmp_path):
@@ -302,6 +303,7 @@ def damaged_log(*damage: str, names: bool = True) -> str:
         "400,1.5,\0\0\0",
         "Note: touched the table,,",
         "400,-2_113.4,2.25",
+        f"400,{'x' * 200_000},2.25",
     ],
 )
 def test_a_damaged_line_of_many_is_left_out_and_counted_and_of_few_refused(tmp_path, line):
