@@ -562,9 +562,9 @@ def compared(errors: pd.Series) -> pd.DataFrame:
 
 
 SURE = """
-**How sure can one be?** With calibrated trackers our smoother is off by {{ slow }} mm along the arm in the slow trial,
-on which we chose its settings, and by {{ off }} mm in the others. The ellipsoids of filter and smoother should cover
-{{ level }} % of the positions. In the other trials they cover {{ stated.covered }} as stated, with semi-axes of
+**How sure can one be?** With calibrated trackers our smoother is off by {{ slow }} mm along the arm in the slow
+trial, on which we chose its settings, and by {{ off }} mm in the others. The ellipsoids of filter and smoother should
+cover {{ level }} % of the positions. In the other trials they cover {{ stated.covered }} as stated, with semi-axes of
 {{ stated.axes }} mm. If we widen them until they cover {{ level }} % in the slow trial, they cover
 {{ widened.covered }} in the others, with semi-axes of {{ widened.axes }} mm.
 """
