@@ -261,8 +261,8 @@ BANDS = pd.DataFrame({
         (lambda: toronto.choice_in_words(TRACKERS, SLOW - [0, 0, 3], CHOICE),
          "The slow trial chooses *estimated* with 3.0 mm, and *white* has 5.0 mm and *inflated* has 7.0 mm. By"),
         (lambda: toronto.sure_in_words(OFF, BANDS, "white", 0.9),
-         "off by 3 mm along the arm in the slow trial, on which we chose its settings, and by 5 to 8 mm in the others."
-         " The ellipsoids of filter and smoother should cover 90 % of the positions. In the other trials they cover "
+         "off by 3 mm along the arm in the slow trial, on which we chose its settings, and by 5 to 8 mm in the others"
+         ". The ellipsoids of filter and smoother should cover 90 % of the positions. In the other trials they cover "
          "30 % as stated, with semi-axes of 0.4 to 3 mm. If we widen them until they cover 90 % in the slow trial, "
          "they cover 80 % in the others, with semi-axes of 8 to 20 mm."),
     ],
