@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 
+CELL = re.compile(r"<(t[hd])\b([^>]*)>(.*?)</t[hd]>", re.S)
+"""A cell of a table: its tag, its attributes, and what stands in it."""
+
 
 def accessible(text: str) -> str:
     """Return the HTML of a page with the names and tab stops that theme and extensions leave out."""
@@ -57,14 +60,41 @@ def with_headings(text: str) -> str:
 
 
 def _headed(table: str) -> str:
-    headings = [
-        re.sub(r"<[^>]*>", "", cell).strip().replace('"', "&quot;")
-        for cell in re.findall(r"<th\b.*?</th>", table, re.S)
-    ]
-    head, rows, rest = re.split(r"(<tbody>.*</tbody>)", table, flags=re.S)
-    cells = iter(headings * rows.count("<tr"))
-    rows = re.sub(r"<td\b(?! data-)", lambda _: f'<td data-heading="{next(cells)}"', rows)
-    return head + re.sub(r"(<td [^>]*)(?<! data-missing)(?=><p>—</p></td>)", r"\1 data-missing", rows) + rest
+    head, body, rest = re.split(r"(<tbody>.*</tbody>)", table, flags=re.S)
+    above, names = re.findall(r"<tr\b.*?</tr>", head, re.S), {}
+    for row, places in zip(above, _columns(above), strict=True):
+        for (_, _, content), place in zip(CELL.findall(row), places, strict=True):
+            text = re.sub(r"<[^>]*>", "", content).strip().replace('"', "&quot;")
+            names |= dict.fromkeys(place, text)
+    rows = re.split(r"(?=<tr\b)", body)
+    first = (place[0] for places in _columns(rows) for place in places)
+
+    def named(cell: re.Match[str]) -> str:
+        column = next(first)
+        if cell[1] == "th" or "data-heading=" in cell[2]:
+            return cell[0]
+        missing = " data-missing" if cell[3] == "<p>—</p>" and "data-missing" not in cell[2] else ""
+        return f'<td data-heading="{names.get(column, "")}"{cell[2]}{missing}>{cell[3]}</td>'
+
+    return head + CELL.sub(named, "".join(rows)) + rest
+
+
+def _columns(rows: list[str]) -> list[list[range]]:
+    """Return the columns of each row's cells, where a cell may take several, and those of rows below."""
+    left: dict[int, int] = {}  # how many rows a cell above still takes, by column
+    found = []
+    for row in rows:
+        places, column = [], 0
+        for _, attributes, _ in CELL.findall(row):
+            while left.get(column):
+                column += 1
+            spans = dict(re.findall(r'\b(colspan|rowspan)="(\d+)"', attributes))
+            places.append(range(column, column + int(spans.get("colspan", 1))))
+            column = places[-1].stop
+            left |= dict.fromkeys(places[-1], int(spans.get("rowspan", 1)))
+        left = {column: rows_left - 1 for column, rows_left in left.items()}
+        found.append(places)
+    return found
 
 
 def whole_options(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -83,6 +84,29 @@ def test_cells_of_cards_have_their_headings(extension):
         == 2
     )
     assert headed.endswith(f'<table class="table">{row}</table>')
+    assert extension("page_access").with_headings(headed) == headed
+
+
+def test_each_cell_has_the_heading_of_its_column(extension):
+    """Cells that take several columns or rows, rows with a heading of their own, and cells marked before."""
+    head = (
+        '<tr><th rowspan="2">a</th><th colspan="3">of all</th><th rowspan="2">e</th></tr>'
+        '<tr><th>b</th><th colspan="2">c, d</th></tr>'
+    )
+    rows = (
+        '<tr><th rowspan="2">1</th><td data-missing>–</td><td class="x">3</td><td rowspan="3">4</td><td>5</td></tr>'
+        '<tr><td colspan="2">2 and 3</td><td>5</td></tr>'
+        "<tr><td>1</td><td>2</td><td><p>—</p></td><td>5</td></tr>"
+    )
+    page = f'<table class="as-cards"><thead>{head}</thead><tbody>{rows}</tbody></table>'
+    headed = extension("page_access").with_headings(page)
+    assert re.findall(r'<td data-heading="([^"]*)"', headed) == [
+        *("b", "c, d", "c, d", "e"),
+        *("b", "e"),
+        *("a", "b", "c, d", "e"),
+    ]
+    assert '<td data-heading="b" data-missing>–</td><td data-heading="c, d" class="x">' in headed
+    assert headed.count("data-missing") == 2
     assert extension("page_access").with_headings(headed) == headed
 
 

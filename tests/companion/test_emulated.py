@@ -57,7 +57,7 @@ def test_a_chip_is_named_only_if_no_other_is():
     suspects = np.array([[0, 0], [0, 1], [0, 1], [1, 1]], dtype=bool)
     said = emulated.failing_in_words(np.arange(4.0), suspects, STD, chip=2, fails_at_s=0.5)
     assert "in 67 % of the rows" in said
-    assert "grows from 1.0 to 2.0 mm" in said
+    assert "grows in this run from 1.0 mm before the failure to 2.0 mm after it" in said
 
 
 @pytest.mark.parametrize(

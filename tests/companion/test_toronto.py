@@ -212,6 +212,26 @@ def test_numbers_of_the_page_by_hand(found, expected):
     assert found() == (expected if isinstance(expected, dict) else pytest.approx(expected, nan_ok=True))
 
 
+def test_our_smoother_stands_above_the_window_and_raw_readings_first():
+    """A trial that nobody's program estimated has a dash for it, and other estimators have no row."""
+    index = [
+        (t, s, e)
+        for s in ("calibrated", "raw")
+        for t in ("impulse_1", "my_trial")
+        for e in ("filter", "smoother")
+    ]
+    index += [("impulse_1", s, "released window") for s in ("raw", "calibrated")]
+    errors = pd.Series(
+        np.arange(10.0), pd.MultiIndex.from_tuples(index, names=["trial", "setting", "estimator"])
+    )
+    table = toronto.compared(errors)
+    assert list(table) == ["readings", "estimator", "hit [mm]", "my_trial [mm]"]
+    assert table[["readings", "estimator"]].to_numpy().tolist() == [
+        [readings, who] for readings in ("raw", "calibrated") for who in ("our smoother", "authors' window")
+    ]
+    np.testing.assert_array_equal(table.iloc[:, 2:], [[5, 7], [8, np.nan], [1, 3], [9, np.nan]])
+
+
 def test_errors_of_imu_models_are_means_over_the_stations(monkeypatch):
     """At the stations root mean squares over time of 0, 3, 4 and 5 mm: once in four frames 0, 6, 8 and 10."""
     T = np.tile(np.eye(4), (4, 5, 1, 1))

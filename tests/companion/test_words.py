@@ -43,6 +43,10 @@ ROBOTS = {
         "a_covered_percent": 95.0,
     },
 }
+SOUND = {
+    x: ROBOTS[x] | {"a_covered_percent": 91.0, "cycle_1_sample_rms_deg": 1.0}
+    for x in ("eflesh", "hall_joint")
+}
 CHIPS = pd.DataFrame(
     [
         [4, "none", 0.5, 0.6, 0, np.nan, np.nan, np.nan], [4, emulated.SILENT, 1, 2, 0, np.nan, np.nan, np.nan],
@@ -158,9 +162,12 @@ BANDS = pd.DataFrame({
          "against 4.00 mm with least squares"),
         (lambda: loop.in_words(NOISES), "if the arm bends a fifth further (8.0 mm)"),
         (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
+         "The estimates work in part, the stated regions do not. Where a source states an error of the same task, "
          "ours is smaller for eFlesh, and larger for the Hall joint. On the continuum robot our filter has a smaller "
-         "error than the source's in the slow trial, on which we chose its noise, but the test is the other trial: "
-         "when the arm is hit, we have 13.3 mm against 12.0 mm. Do not"),
+         "error than the source's in the slow trial, on which we chose its noise. In the other trial, when the arm "
+         "is hit, we have 13.3 mm against 12.0 mm. Do not"),
+        (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in SOUND.items()}),
+         "The estimates work, the stated regions do too. Where"),
         (lambda: others.in_short({x: others.Found({"cases": ["a"]}, own, {}) for x, own in ROBOTS.items()}),
          "of 3 that we evaluated, 1 covers between 85 and 95 %, and the worst covers 84 %."),
         (lambda: others.in_short({x: others.Found({"cases": ["a"]}, ROBOTS[x], {}) for x in [*ROBOTS][:2]}),
@@ -197,9 +204,6 @@ BANDS = pd.DataFrame({
         (lambda: toronto.raw_in_words(HITS.combine_first(SLOWS)),
          "On raw readings our smoother is worse than the authors' own sliding window when the arm is hit (115 mm "
          "against 110 mm), and better in the slow trial, on which we chose its settings (3 mm against 4 mm)."),
-        (lambda: toronto.compared_in_words(HITS),
-         "115 mm on raw readings, against 110 mm of the authors' sliding window; on calibrated readings it has 15 mm "
-         "against 10 mm. When the arm is shaken, our smoother has 125 mm against 120 mm, and 25 mm against 20 mm."),
         (lambda: wandering.of_columns(pd.DataFrame({"method": ["fused"], "nees": [16.0]})),
          "16 means errors about 4 times as large as stated"),
         (lambda: baaij.affine_agreement(PRINT),
@@ -257,10 +261,10 @@ BANDS = pd.DataFrame({
         (lambda: toronto.choice_in_words(TRACKERS, SLOW - [0, 0, 3], CHOICE),
          "The slow trial chooses *estimated* with 3.0 mm, and *white* has 5.0 mm and *inflated* has 7.0 mm. By"),
         (lambda: toronto.sure_in_words(OFF, BANDS, "white", 0.9),
-         "off by 5 to 8 mm along the arm in the trials that had no part in its settings, and by 3 mm in the slow "
-         "trial, on which we chose them. The ellipsoids of filter and smoother should cover 90 % of the positions. "
-         "As stated, they cover 25 %, with semi-axes of 0.2 to 4 mm. We widen them until they cover 90 % in the slow "
-         "trial. In the others they then cover 80 %, with semi-axes of 8 to 20 mm."),
+         "off by 3 mm along the arm in the slow trial, on which we chose its settings, and by 5 to 8 mm in the others"
+         ". The ellipsoids of filter and smoother should cover 90 % of the positions. In the other trials they cover "
+         "30 % as stated, with semi-axes of 0.4 to 3 mm. If we widen them until they cover 90 % in the slow trial, "
+         "they cover 80 % in the others, with semi-axes of 8 to 20 mm."),
     ],
 )  # fmt: skip
 def test_a_sentence_says_what_its_table_has(sentence, words):

@@ -55,8 +55,9 @@ def calibrated_in_words(
 
 FAILING = """
 After the failure the monitor names the right chip, and no other, in {{ named | fixed(0) }} % of the rows. The
-estimate goes on without the readings that do not fit. The ± that it states for the tip
-{{ "grows" if high > low else "goes" }} from {{ low | fixed(1) }} to {{ high | fixed(1) }} mm in the median.
+estimate goes on without the readings that do not fit. In the median the ± that it states
+for the tip {{ "grows" if high > low else "goes" }} in this run from {{ low | fixed(1) }} mm before the failure to
+{{ high | fixed(1) }} mm after it.
 """
 
 
@@ -91,8 +92,8 @@ def cases(found: Mapping[str, tuple[Trajectory, np.ndarray, np.ndarray]]) -> pd.
 CASES_IN_WORDS = """
 **What to see.** As its file describes it, this robot is useless, with a tip error of {{ median[0] | fixed(0) }} mm.
 After a calibration in {{ poses }} exact poses the error is {{ "%.2g" | format(median[1]) }} mm; in poses known to
-1 mm, as you may have them, {{ rough | min | fixed(1) }} to {{ rough | max | fixed(1) }} mm. If a chip freezes in the
-middle of the motion, the monitor leaves it out, and the error over the whole motion is
+1 mm, as you may have them, {{ rough | min | fixed(1) }} to {{ rough | max | fixed(1) }} mm. If a chip freezes during
+the motion, the monitor leaves it out, and the error over the whole motion is
 {{ "%.2g" | format(median[2]) }} mm. All errors and ± are medians over the motion.
 """
 

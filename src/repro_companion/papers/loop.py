@@ -152,9 +152,9 @@ IN_SHORT = """
 **In short.** Yes, if the filter is given the command. With high gain and the noise of real sensors, {{ noise }} mT
 (the first row), the bend is then {{ as_modelled[informed] | fixed(2) }} mm off its reference, against
 {{ as_modelled[alone] | fixed(2) }} mm with least squares, whose estimate comes a sample late. A Kalman filter without
-the command does as well if the arm is as modelled, but it is the worst of the three if the arm bends a fifth further
-({{ softer[plain] | fixed(1) }} mm). The table has root mean squares of this distance (synthetic); the tip is off by
-about 2.5 times as much.
+the command does as well at this noise if the arm is as modelled, but it is the worst of the three if the arm bends a
+fifth further ({{ softer[plain] | fixed(1) }} mm). The table has root mean squares of this distance (synthetic); the
+tip is off by about 2.5 times as much.
 """
 
 

@@ -131,12 +131,14 @@ def table(of_rows: pd.DataFrame) -> HTML:
 
 
 IN_SHORT = """
-**In short.** Where a source states an error of the same task, ours is smaller for
+**In short.** The estimates work{{ " in part" if larger }}, the stated regions do
+{{ "too" if good == covered | length else "not" }}.
+Where a source states an error of the same task, ours is smaller for
 {{ smaller | join(" and ") or "none" }}{{ ", and larger for " ~ larger | join(" and ") if larger }}.
 {% if rod %}
 On the continuum robot our filter has a
 {{ "smaller" if rod.slow_free_space_rms_mm < rod.slow_free_space_source_filter_mm else "larger" }} error than the
-source's in the slow trial, on which we chose its noise, but the test is the other trial: when the arm is hit, we have
+source's in the slow trial, on which we chose its noise. In the other trial, when the arm is hit, we have
 {{ rod.impulse_1_rms_mm | fixed(1) }} mm against {{ rod.impulse_1_source_filter_mm | fixed(1) }} mm.
 {% endif %}
 Do not trust the stated regions of a new robot before you have evaluated them. They should cover 90 %, but of

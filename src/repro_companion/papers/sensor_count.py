@@ -342,9 +342,10 @@ def _enough(errors: np.ndarray, tolerance: float) -> float:
 
 IN_SHORT = """
 **In short.** *Magnets:* use three single-axis sensors on each segment. One three-axis chip in place of the three also
-does, with {{ chip | fixed(1) }} times their error. Two single-axis sensors leave one of the three coordinates
-open, however quiet they are. More than three help little: {{ most }} sensors have {{ share | fixed(0) }} % of the
-error of three. Calibrate the robot before you add sensors.
+does, with {{ (one / three) | fixed(1) }} times their error ({{ one | two }} against {{ three | two }} mm at the
+tip). Two single-axis sensors leave one of the three coordinates open, however quiet they are. More than three help
+little: {{ most }} sensors have {{ share | fixed(0) }} % of the error of three. Calibrate the robot before you add
+sensors.
 """
 IMUS_IN_SHORT = """
 *IMUs:* take an arm of {{ length }} mm, with a curvature of at most {{ curvature }} rad/m that changes by at most
@@ -353,24 +354,24 @@ within 10 mm. With real IMUs, better ones help more than many: half the error is
 """
 
 
-def chip_ratio() -> float:
-    """Return how many times the tip's deviation of the paper's three sensors one three-axis chip among them has."""
+def chip_and_three() -> tuple[float, float]:
+    """Return the tip's deviations [mm] of one three-axis chip and of the paper's three sensors."""
     three = moved(above=0.055, radius=0.013)
     chip = three.replaced(sensors=[replace(three.sensors[0], axes=3)])
-    one, all_ = (np.median(robot.check().tip) for robot in (chip, three))
-    return float(one / all_)
+    one, all_ = (1e3 * float(np.median(robot.check().tip)) for robot in (chip, three))
+    return one, all_
 
 
 def in_words(means: pd.DataFrame, length_mm: float, curvature: float, slope: float) -> str:
     """Return how many sensors of either kind to use, from the errors of :func:`grid` and the rule."""
-    one = means[(means["n_segments"] == 1) & (means["noise_mt"] == baaij.NOISE_MT)]
-    ratio = one.set_index("n_sensors")["ratio"]
+    own = means[(means["n_segments"] == 1) & (means["noise_mt"] == baaij.NOISE_MT)]
+    ratio = own.set_index("n_sensors")["ratio"]
     enough = imu_rule(MIDDLE, length_mm / 1e3, 0.010, curvature, slope)
     numbers = {"length": length_mm, "curvature": curvature, "slope": slope}
     words = {name: f"{value:g}" for name, value in numbers.items()}
-    magnets = sentences(
-        IN_SHORT, most=ratio.index.max(), share=100 * ratio[ratio.index.max()], chip=chip_ratio()
-    )
+    one, three = chip_and_three()
+    share = 100 * ratio[ratio.index.max()]
+    magnets = sentences(IN_SHORT, most=ratio.index.max(), share=share, one=one, three=three)
     return f"{magnets}\n\n{sentences(IMUS_IN_SHORT, enough=enough, **words)}"
 
 
@@ -395,9 +396,10 @@ Bound and error, in percent of the range: {{ each }}. Over {{ draws }} draws of 
 that the arm cannot be shorter than at rest.
 """
 FLOOR = """
-A sensor model with errors of its own has a floor, and below the floor quieter sensors are wasted. At 0.7 µT our
-trainings of the paper's network for one segment have {{ floor | fixed(0) }} times the error of the bound, so a better
-model gains more than more sensors.
+A sensor model with errors of its own has a floor, below which quieter sensors are wasted. At 0.7 µT our
+trainings of the paper's network for one segment have {{ of_bound | fixed(0) }} times the error of the bound
+({{ mean_percent | two }} against {{ bound_percent | two }} % of the range), so a better model gains more than
+more sensors.
 """
 
 
@@ -407,9 +409,9 @@ def bound_in_words(table: pd.DataFrame, study: pd.DataFrame, bound: np.ndarray, 
     each = ", ".join(f"{name} {a:.2f} and {b:.2f}" for name, a, b in zip(names, bound, error, strict=True))
     ratio = table["mean_percent"].mean() / table["bound_percent"].mean()
     real = study[(study["noise_mt"] == baaij.NOISE_MT) & (study["n_b"] == 1)].set_index(["model", "solver"])
-    floor = real.loc[("network of the paper", "Levenberg-Marquardt"), "of_bound"]
+    found = real.loc[("network of the paper", "Levenberg-Marquardt")]
     bounds = sentences(BOUND, each=each, draws=len(table), ratio=ratio)
-    return f"{bounds}\n\n{sentences(FLOOR, floor=floor)}"
+    return f"{bounds}\n\n{sentences(FLOOR, **found)}"
 
 
 PLACES = {

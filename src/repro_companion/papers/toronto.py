@@ -549,43 +549,39 @@ def raw_in_words(errors: pd.Series) -> str:
     return sentences(RAW, hit=hit, slow=slow)
 
 
-def compared_in_words(errors: pd.Series) -> str:
-    """Return our errors beside those of the released window when something touches the arm."""
-    sizes = [
-        f"{errors[name, setting, estimator]:.0f} mm"
-        for setting, name, estimator in product(("raw", "calibrated"), SAME, ("smoother", "released window"))
-    ]
-    return sentences(COMPARED, sizes=sizes)
+COMPARED = {"smoother": "our smoother", "released window": "authors' window"}
+"""Estimators that the page compares, as a reader sees them."""
 
 
-COMPARED = """
-When the arm is hit, our smoother has an error of {{ sizes[0] }} on raw readings, against {{ sizes[1] }} of the
-authors' sliding window; on calibrated readings it has {{ sizes[4] }} against {{ sizes[5] }}. When the arm is shaken,
-our smoother has {{ sizes[2] }} against {{ sizes[3] }}, and {{ sizes[6] }} against {{ sizes[7] }}.
-"""
+def compared(errors: pd.Series) -> pd.DataFrame:
+    """Return our errors above those of the released window, on raw readings first, with a column for each trial."""
+    table = errors.rename("error_mm").reset_index().replace({"estimator": COMPARED})
+    table = table[table["estimator"].isin(COMPARED.values())].rename(columns={"setting": "readings"})
+    raw_first = table.sort_values("readings", ascending=False, kind="stable")
+    return by_trial(raw_first, ["readings", "estimator"], "error_mm")
 
 
 SURE = """
-**How sure can one be?** With calibrated trackers our smoother is off by {{ off }} mm along the arm in the trials that
-had no part in its settings, and by {{ slow }} mm in the slow trial, on which we chose them. The ellipsoids of filter
-and smoother should cover {{ level }} % of the positions. As stated, they cover {{ stated.covered }}, with semi-axes
-of {{ stated.axes }} mm. We widen them until they cover {{ level }} % in the slow trial. In the others they then cover
-{{ widened.covered }}, with semi-axes of {{ widened.axes }} mm.
+**How sure can one be?** With calibrated trackers our smoother is off by {{ slow }} mm along the arm in the slow
+trial, on which we chose its settings, and by {{ off }} mm in the others. The ellipsoids of filter and smoother should
+cover {{ level }} % of the positions. In the other trials they cover {{ stated.covered }} as stated, with semi-axes of
+{{ stated.axes }} mm. If we widen them until they cover {{ level }} % in the slow trial, they cover
+{{ widened.covered }} in the others, with semi-axes of {{ widened.axes }} mm.
 """
 
 
 def sure_in_words(errors: pd.Series, bands: pd.DataFrame, kept: str, level: float) -> str:
     """Return how large our errors are, and the size of the regions that cover the truth as often as they say."""
     smoother = errors.xs("smoother", level="estimator").xs("calibrated", level="setting")
-    own = bands[bands["model"] == kept]
-    widened = own[own["ellipsoids"] == "widened"]
+    others = bands[(bands["model"] == kept) & (bands["trial"] != CHOOSING)]
+    stated, widened = (others[others["ellipsoids"] == how] for how in ("as stated", "widened"))
     return sentences(
         SURE,
         off=span(smoother.drop(CHOOSING)),
         slow=f"{smoother[CHOOSING]:.0f}",
         level=f"{100 * level:.0f}",
-        stated=region(own[own["ellipsoids"] == "as stated"]),
-        widened=region(widened[widened["trial"] != CHOOSING]),
+        stated=region(stated),
+        widened=region(widened),
     )
 
 

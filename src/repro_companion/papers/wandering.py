@@ -189,8 +189,8 @@ minutes is {{ once | fixed(1) }} % of the length. With the drift in the state of
 {{ own | fixed(1) }} %, and the stated uncertainty is
 {{ "about right" if 0.5 < nees < 1.5 else "too small" if nees > 1 else "too large" }}. It takes both kinds of sensors:
 with the drift in the state, magnets alone still have {{ magnets | fixed(1) }} %. **Two things favour this filter:**
-we told it the true size of each drift, and we chose offsets with which *calibrated once* ends at 2 to 4 %, though on
-five other runs (seeds 100 to 104) than the 20 of the table (seeds 0 to 19).
+we told it the true size of each drift, and we chose the size of the offsets so that *calibrated once* ends at 2 to
+4 % in other runs than those of the table.
 """
 
 
