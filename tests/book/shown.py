@@ -20,9 +20,6 @@ AS_COMPUTED = re.compile(
     r"|[{[(]'|\[-?\d[\d.]*, [^]]*\]|(?<=[:=,] )(?:True|False|None)\b|\b(?:array|tensor|dtype)[(=]"
 )
 """Numbers and values as a program writes them, not a person."""
-TEXT = re.compile(r"<text\b([^>]*)>(.*?)</text>", re.DOTALL)
-SIZE = re.compile(r"(?<![\w-])(?:font-size: |font: [^;\"]*?)([\d.]+)px")
-WIDTH = re.compile(r'<svg[^>]* width="([\d.]+)pt"')
 
 
 class Cells(HTMLParser):
@@ -83,15 +80,3 @@ def digits(text: str) -> int:
         return 0
     number = found[0].lstrip("-−").replace(",", "")
     return len(number.replace(".", "").lstrip("0") if "." in number else number.strip("0"))
-
-
-def texts_of_picture(svg: str) -> list[tuple[str, float]]:
-    """Return the texts of a figure with the size that their letters have where it is as wide as a telephone [px]."""
-    width = WIDTH.search(svg)
-    assert width is not None
-    found = []
-    for attributes, content in TEXT.findall(svg):
-        sizes = [float(size) for size in SIZE.findall(attributes) or SIZE.findall(content)]
-        text = "".join(re.sub(r"<[^>]*>", "", content).split("\n")).strip()
-        found.append((text, max(sizes) * 358 / float(width[1])))
-    return found
