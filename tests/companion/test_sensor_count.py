@@ -122,6 +122,14 @@ def test_sensors_move_to_where_they_are_asked():
     np.testing.assert_allclose(sensors[:, 2], baaij.MAGNET_AT + 0.030)
     np.testing.assert_allclose(np.linalg.norm(sensors[:, :2], axis=1), 0.007)
     assert len(sensors) == 4
+    even, t = np.linspace(-1, 1, 100_001).std(), baaij.ERRORS  # the draws are even
+    sizes = {"azimuth": t.sensor_azimuth, "radius": 0.007 * t.sensor_radius, "tilt": 0.0, "gain": 0.0}
+    for part, limits in (
+        (robot.magnets[0], {"position": t.magnet_position, "tilt": t.magnet_tilt}),
+        (robot.sensors[3], sizes),
+    ):
+        deviations = {name: even * limit for name, limit in limits.items()}
+        assert part.tolerance == pytest.approx(deviations, rel=1e-4)
 
 
 def test_closer_sensors_feel_noise_less_and_tolerances_more():
