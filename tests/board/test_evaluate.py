@@ -22,7 +22,7 @@ from repro.readings import Readings
 from repro.tolerances import placed
 from repro_board import cleaning, report
 from repro_board import lag as module
-from repro_board.calibrations import _judge, _parameters, _told, by_motion
+from repro_board.calibrations import _judge, _Motion, _parameters, _told, by_motion
 from repro_board.cli import main
 from repro_board.evaluate import (
     _Both,
@@ -1052,6 +1052,13 @@ def test_no_parameter_is_less_certain_after_a_motion_than_before_it():
     assert (found.deviation < found.tolerances * (1 + 1e-9)).all()
 
 
+def test_readings_in_motion_are_no_better_than_three_thousandths_of_their_size():
+    robot = repro.load_robot(EXAMPLE)
+    u = robot.sensing()(shapes(robot, np.arange(0, 1, 0.04)))
+    expected = robot.total_noise**2 + 0.003**2 * np.square(u).mean(axis=0)
+    np.testing.assert_allclose(_Motion(robot, u).noise ** 2, expected)
+
+
 def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_path):
     """Three readings and three coordinates: a spike is written as no offset."""
     robot = repro.load_robot(RAW)
@@ -1088,12 +1095,15 @@ def test_errors_of_five_times_the_tolerance_or_a_chi_square_of_sixteen_are_the_m
             _judge(["a", "b"], np.array([1.0, far]), spread)
 
 
-def test_errors_that_motion_finds_are_those_of_a_calibration():
-    """Of chips with gains and offsets: the same readings, to second order."""
+@pytest.mark.parametrize("factor", [1.0, 1.2])
+def test_errors_that_motion_finds_are_those_of_a_calibration(factor):
+    """Of magnets, alike or not, and chips with gains and offsets: the same readings, to second order."""
     robot = repro.load_robot(EXAMPLE)
     chips = [replace(chip, gain=[1.1, 0.9, 1.2], offset=[1.0, -2.0, 0.5]) for chip in robot.sensors]
-    robot = robot.replaced(sensors=chips)
-    kinds = [Drift("moment", 0.05, shared=True), Drift("gain", 0.05), Drift("offset", 0.5)]
+    first, last = robot.magnets
+    shape = replace(last.shape, polarisation_mt=factor * last.shape.polarisation_mt)
+    robot = robot.replaced(sensors=chips, magnets=[first, replace(last, shape=shape)])
+    kinds = [Drift("moment", 0.05, shared=factor == 1.0), Drift("gain", 0.05), Drift("offset", 0.5)]
     model = DriftModel(Drifting(robot.sensing(), kinds), robot.lower, robot.upper, "a test")
     changes = _parameters(robot, model.names)
     for z in 1e-4 * np.eye(len(model.names)):

@@ -22,7 +22,18 @@ from page_on_screen import red, window
 from rich.console import Console
 
 import repro
-from repro import AffineCurvature, ConstantCurvature, Imu, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
+from repro import (
+    AffineCurvature,
+    ConstantCurvature,
+    Imu,
+    InputError,
+    KalmanFilter,
+    Magnet,
+    Ring,
+    Robot,
+    Sensor,
+    track,
+)
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
 from repro_board import session as session_module

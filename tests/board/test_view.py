@@ -43,7 +43,9 @@ def test_points_are_those_of_the_robot():
 def test_what_is_farther_away_than_sixteen_bits_tell_stays_at_their_end():
     long = Robot([ConstantCurvature(9.0, 0.022)])
     data = view(long, np.zeros((1, 3)), [0.0], "Long.").data
-    assert unpacked(data["shapes"][0]["points"], 0.1, 9, 3)[:, 2] == pytest.approx([0, 1125, 2250, *[3276.7] * 6])
+    assert unpacked(data["shapes"][0]["points"], 0.1, 9, 3)[:, 2] == pytest.approx(
+        [0, 1125, 2250, *[3276.7] * 6]
+    )
     assert (data["radius"], data["box"][1]) == (450.0, [450.0, 450.0, 9000.0])
 
 
