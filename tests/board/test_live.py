@@ -848,6 +848,8 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.inner_text("#alarms p") == LEFT
         assert page.inner_text("#raw") == raw_bytes
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
+        values = [text.split()[-1].replace("−", "-") for text in page.locator("#values li").all_inner_texts()]
+        np.testing.assert_allclose(np.array(values, float), session.last[1], rtol=5.1e-4)  # four digits
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert red(page.locator("#shape canvas")) > 50
         for calls, most, times, end, limits in TRACES:
