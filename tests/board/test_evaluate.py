@@ -22,7 +22,7 @@ from repro.readings import Readings
 from repro.tolerances import placed
 from repro_board import cleaning, report
 from repro_board import lag as module
-from repro_board.calibrations import _judge, _Motion, _parameters, _told, by_motion
+from repro_board.calibrations import _judge, _parameters, _told, by_motion
 from repro_board.cli import main
 from repro_board.evaluate import (
     _Both,
@@ -1050,13 +1050,6 @@ def test_no_parameter_is_less_certain_after_a_motion_than_before_it():
     found, _ = by_motion(robot, u + 5 * robot.noise * rng.normal(size=u.shape))
     assert found.chi2 > 2
     assert (found.deviation < found.tolerances * (1 + 1e-9)).all()
-
-
-def test_readings_in_motion_are_no_better_than_three_thousandths_of_their_size():
-    robot = repro.load_robot(EXAMPLE)
-    u = robot.sensing()(shapes(robot, np.arange(0, 1, 0.04)))
-    expected = robot.total_noise**2 + 0.003**2 * np.square(u).mean(axis=0)
-    np.testing.assert_allclose(_Motion(robot, u).noise ** 2, expected)
 
 
 def test_motion_tells_nothing_where_every_reading_is_needed_for_the_shape(tmp_path):

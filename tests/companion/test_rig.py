@@ -523,3 +523,15 @@ def test_figures_show_a_minute_ten_times_a_second_and_five_even_times_with_the_l
     chosen = [0, 2, 4, 6, 7, 8]
     np.testing.assert_allclose(times, np.array(chosen) / 40)
     np.testing.assert_array_equal([truth, *seeds.swapaxes(0, 1)], [q[chosen], *found[chosen].swapaxes(0, 1)])
+
+
+def test_a_descent_starts_straight_and_its_map_reaches_a_millimetre_beyond_all_bends(data):
+    part, k = data.tests["T5"], 40
+    sensing = Sensing(rig.robot(), table_2.networks(data, 0), earth=rig.EARTH)
+    grid, path = table_2.loss_and_descent(sensing, part, k)
+    tried, drawn = path[["delta_x_mm", "delta_y_mm"]].to_numpy(), grid[["delta_x_mm", "delta_y_mm"]]
+    bends = 1e3 * part.q[:, :2]
+    np.testing.assert_allclose([bends.min(0) - drawn.min(), drawn.max() - bends.max(0)], 1.0)
+    straight = part.q[k] * [0, 0, 1]
+    assert tried[0].tolist() == [0, 0]
+    assert path["rmse_mV"][0] == pytest.approx(np.sqrt(((sensing(straight) - part.u[k]) ** 2).mean()))

@@ -92,6 +92,13 @@ def test_the_grid_compares_with_three_sensors():
             ),
             37.5,
         ),
+        # The median deviations of a design in mm.
+        (
+            lambda: sensor_count.chips_table(
+                SimpleNamespace(by_chips=[{"chips": 3, "calibrated": 1e-3, "as_built": 2e-3}])
+            ).to_numpy()[0],
+            [3, 1, 2],
+        ),
         # From where on no error is above a tolerance.
         (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 5.0), 1),
         (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 1.0), 4),
