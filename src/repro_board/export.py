@@ -154,8 +154,7 @@ def _clocks(recording: Recording, times: Array) -> dict[str, Array]:
     columns = {"time_s": times.round(9), "unix_s": recording.unix_s + times}
     board_us = [sample.time_us for sample in recording.samples]
     if None not in board_us:
-        nearest = np.rint(np.interp(times, recording.times, np.arange(len(board_us)))).astype(int)
-        columns["board_s"] = np.array(board_us)[nearest] / 1e6
+        columns["board_s"] = np.interp(times, recording.times, np.array(board_us, float)) / 1e6
     return columns
 
 

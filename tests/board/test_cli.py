@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import os
 import re
@@ -21,15 +22,22 @@ import pandas as pd
 import pytest
 
 import repro
+from repro.check import check_design
 from repro.estimators.calibration import load_calibration
-from repro_board import emulate
+from repro.improve import improve_design
+from repro_board import cli, emulate, live
 from repro_board.cli import main
-from repro_board.evaluate import calibrate_files, track_file
+from repro_board.evaluate import calibrate_files, evaluate_files, track_file
 from repro_board.live import Follower
 from repro_board.record import Writer
 from tests.board.waiting import LONGEST_S, until
 
 SEED = 3
+CALLED = [
+    (cli.check, check_design), (cli.check, improve_design), (cli.evaluate, evaluate_files), (cli.record, live.record),
+    (cli.live, live.Line), (cli.live, live.Method), (cli.emulate, emulate.emulate),
+]  # fmt: skip
+"""Commands, and the functions that they call."""
 
 
 @pytest.fixture(scope="module")
@@ -350,3 +358,14 @@ def test_check_proposes_a_better_robot_file(tmp_path, monkeypatch, capsys):
     assert "output of repro check must be left out without --improve" in capsys.readouterr().err
     assert main(["check", "robot.toml", *few, "--target-mm", "0"]) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["chips.svg", "new.toml", "robot.toml"]
+
+
+@pytest.mark.parametrize(("command", "function"), CALLED)
+def test_what_a_command_takes_for_a_number_that_is_not_given_its_function_takes_too(command, function):
+    typed, called = (
+        {name.removesuffix("_s"): one.default for name, one in inspect.signature(own).parameters.items()}
+        for own in (command, function)
+    )
+    both = [name for name in typed.keys() & called.keys() if isinstance(typed[name], int | float)]
+    assert both
+    assert {name: typed[name] for name in both} == {name: called[name] for name in both}

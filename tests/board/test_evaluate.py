@@ -200,6 +200,14 @@ def test_errors_of_1_and_7_mm_have_a_mean_of_4_and_a_root_mean_square_of_5():
     assert list(table["unit"]) == ["mm"] * 12
 
 
+def test_a_tip_that_only_one_coordinate_moves_has_the_region_of_one_degree_of_freedom():
+    """Deviations of 2.2 are outside of it; with three degrees of freedom 2.7 would be inside."""
+    robot = repro.Robot([repro.ConstantCurvature(0.11, 0.022)], lower=[0, 0, -0.01], upper=[0, 0, 0.01])
+    shapes = {"a": estimates(robot, [[0, 0, 2.2e-3]], np.diag([0.0, 0.0, 1e-6]))}
+    table = report.errors_table(estimates(robot, np.zeros((1, 3))), np.zeros((3, 3)), shapes)
+    assert table["coverage"].tolist() == [0.0, 0.0]
+
+
 def test_angles_are_in_degrees_and_go_the_short_way_round():
     """179 and -179 degrees are two apart; a quarter turn reads 90."""
     robot = repro.Robot([repro.AffineCurvature(0.2), repro.BallJoint("x")])
@@ -1088,12 +1096,15 @@ def test_errors_of_five_times_the_tolerance_or_a_chi_square_of_sixteen_are_the_m
             _judge(["a", "b"], np.array([1.0, far]), spread)
 
 
-def test_errors_that_motion_finds_are_those_of_a_calibration():
-    """Of chips with gains and offsets: the same readings, to second order."""
+@pytest.mark.parametrize("factor", [1.0, 1.2])
+def test_errors_that_motion_finds_are_those_of_a_calibration(factor):
+    """Of magnets, alike or not, and chips with gains and offsets: the same readings, to second order."""
     robot = repro.load_robot(EXAMPLE)
     chips = [replace(chip, gain=[1.1, 0.9, 1.2], offset=[1.0, -2.0, 0.5]) for chip in robot.sensors]
-    robot = robot.replaced(sensors=chips)
-    kinds = [Drift("moment", 0.05, shared=True), Drift("gain", 0.05), Drift("offset", 0.5)]
+    first, last = robot.magnets
+    shape = replace(last.shape, polarisation_mt=factor * last.shape.polarisation_mt)
+    robot = robot.replaced(sensors=chips, magnets=[first, replace(last, shape=shape)])
+    kinds = [Drift("moment", 0.05, shared=factor == 1.0), Drift("gain", 0.05), Drift("offset", 0.5)]
     model = DriftModel(Drifting(robot.sensing(), kinds), robot.lower, robot.upper, "a test")
     changes = _parameters(robot, model.names)
     for z in 1e-4 * np.eye(len(model.names)):

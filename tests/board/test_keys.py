@@ -137,7 +137,7 @@ def test_notes_are_written_with_the_time_of_their_first_key(board, tmp_path, sta
     program.shows("Note: _")
     after = time.time()
     time.sleep(0.5)  # the time of a note is when it was begun
-    program.press("los\x7fad \x1b[A\x1b[1;5Con, müde\r")
+    program.press("lox\x08s\x7fad \x1b[A\x1b[1;5Con, müde\r")
     program.shows("Noted: load on, müde")
     for keys in ("nno such thing\x1b", "n  \r", "npasted\nu unload\r"):
         program.press(keys)

@@ -22,7 +22,18 @@ from page_on_screen import red, window
 from rich.console import Console
 
 import repro
-from repro import ConstantCurvature, InputError, KalmanFilter, Magnet, Ring, Robot, Sensor, track
+from repro import (
+    AffineCurvature,
+    ConstantCurvature,
+    Imu,
+    InputError,
+    KalmanFilter,
+    Magnet,
+    Ring,
+    Robot,
+    Sensor,
+    track,
+)
 from repro.estimators.monitor import LEFT_OUT, UNCHECKED
 from repro_board import live as module
 from repro_board import session as session_module
@@ -44,7 +55,7 @@ from repro_board.session import (
     summary,
     suspects,
 )
-from repro_board.view import FILES, MOST_PAGES, PageServer, message
+from repro_board.view import FILES, MOST_PAGES, PageServer, message, scene
 from repro_board.wire import encode, raw
 from tests.board.waiting import LONGEST_S, Clock, until
 
@@ -392,6 +403,14 @@ def test_a_deviation_is_seen_beside_what_the_bounds_leave(share, ends):
     assert all(text.endswith(ends) for text in coordinates)
 
 
+def test_lengths_and_degrees_have_two_decimals_and_radians_four():
+    robot = Robot([AffineCurvature(0.2)], lower=[-3, -9, -3, -0.02], upper=[3, 9, 3, 0.02])
+    found = SimpleNamespace(q=np.array([0.1, 0.2, 0.3, 0.004]), covariance=1e-8 * np.eye(4))
+    said = in_numbers(SimpleNamespace(robot=robot, last=(0.0, None, found)))
+    in_rad = ("kappa_0_1 0.1000 ± 0.0001 rad", "kappa_1_1 0.2000 ± 0.0001 rad")
+    assert said[3:] == (*in_rad, "phi_1 17.19 ± 0.01 deg", "delta_L_1 4.00 ± 0.10 mm")
+
+
 @pytest.mark.parametrize("since_s", [0.2, 0.9])
 def test_the_first_second_of_garbage_is_no_silence(since_s):
     assert said(session_of([b"\x01\x02\x03" * 9], format="frames", since_s=since_s)) == []
@@ -712,6 +731,12 @@ def test_a_message_names_the_suspect_and_is_json():
         json.dumps(message(CASES[case][0]().moment), allow_nan=False)
 
 
+def test_a_page_knows_the_names_of_readings_and_their_units():
+    for robot, unit in ((ROBOT, "mT"), (ROBOT.replaced(imus=[Imu(2, 0.11)]), "mT, rad")):
+        told = scene(robot)
+        assert (told["readings"], told["unit"]) == (robot.names, unit)
+
+
 def test_a_moment_that_nothing_takes_the_place_of_is_old():
     session = session_of(sent(U[:50]))
     assert message(session.moment)["doubt"] == ""
@@ -823,6 +848,8 @@ def test_a_browser_shows_the_shape_and_the_alarm_and_asks_nobody_else(browser, s
         assert page.inner_text("#alarms p") == LEFT
         assert page.inner_text("#raw") == raw_bytes
         assert page.inner_text("#values li.suspect").startswith("sensor 3")
+        values = [text.split()[-1].replace("−", "-") for text in page.locator("#values li").all_inner_texts()]
+        np.testing.assert_allclose(np.array(values, float), session.last[1], rtol=5.1e-4)  # four digits
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert red(page.locator("#shape canvas")) > 50
         for calls, most, times, end, limits in TRACES:

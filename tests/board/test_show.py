@@ -166,6 +166,15 @@ def test_rows_that_are_seconds_apart_are_joined_and_one_row_has_a_place_in_time(
     assert rows == 1 or own["charts"][0]["gap_s"] > 10.0
 
 
+@pytest.mark.parametrize(("start_s", "counted"), [(86_399.0, False), (86_401.5, True)])
+def test_times_beyond_a_day_count_from_their_first_whole_second(folder, tmp_path, start_s, counted):
+    few = pd.read_csv(folder / "shape.csv").head(3).assign(time_s=start_s + np.arange(3.0))
+    few.to_csv(tmp_path / "few.csv", index=False)
+    report = show_file(tmp_path / "few.csv", folder / "robot.toml", tmp_path / "few.html")
+    assert ("Times count from 86401 s." in report.text) == counted
+    assert told(tmp_path / "few.html")[0]["from"] == (0.5 if counted else start_s)
+
+
 def test_what_cannot_be_shown_is_refused_and_leaves_nothing(folder, tmp_path):
     robot = folder / "robot.toml"
     with closing(Writer(tmp_path / "empty.rec", {})) as writer:
@@ -351,6 +360,22 @@ def test_notes_and_alarms_are_seen_and_lead_to_their_time(opened, page_file):
     page.mouse.click(box["x"] + at(1.0), box["y"] + 100)
     nearest = min(viewer["time_s"], key=lambda time: abs(time - 1.0))
     assert page.inner_text("#clock") == f"{nearest:.2f} s"
+
+
+@pytest.mark.slow
+def test_an_alarm_is_named_with_its_time_or_its_times_and_the_number_of_its_rows(folder, tmp_path, browser):
+    """Without a chip the shape is to be trusted all the same, and a shape that does not fit is not."""
+    status = ["consistent", "inconsistent", "consistent", "left out", "left out", "consistent"]
+    who = ["B1" * (words == "left out") for words in status]
+    few = pd.read_csv(folder / "shape.csv").head(6).assign(time_s=np.arange(6.0))
+    few.assign(status=status, suspects=who).to_csv(tmp_path / "e.csv", index=False)
+    show_file(tmp_path / "e.csv", folder / "robot.toml", tmp_path / "a.html")
+    with window(browser, 390, "light") as (page, _):
+        page.goto((tmp_path / "a.html").as_uri())
+        buttons = page.locator("#alarmed button")
+        texts, levels = buttons.all_inner_texts(), [x.get_attribute("data-level") for x in buttons.all()]
+    assert texts == ["1.00 s: inconsistent, 1 row", "3.00 to 4.00 s: left out (B1), 2 rows"]
+    assert levels == ["2", "1"]
 
 
 @pytest.mark.slow

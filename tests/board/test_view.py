@@ -32,6 +32,21 @@ def test_points_are_those_of_the_robot():
     place = ROBOT.sensors[0].place
     sensors = 1e3 * ROBOT.poses(Q, [place])[:, 0, :3, 3]
     np.testing.assert_allclose(unpacked(data["sensors"]["points"], 0.1, 5, 3), sensors, atol=0.051)
+    axes = ROBOT.poses(Q, [place])[:, 0, :3, 2]
+    np.testing.assert_allclose(unpacked(data["sensors"]["directions"], 1e-4, 5, 3), axes, atol=0.51e-4)
+    magnets = unpacked(data["magnets"]["points"], 0.1, 5, 3)
+    drawn, around = np.concatenate([points.reshape(-1, 3), sensors, magnets]), [22.0, 22.0, 0.0]
+    assert data["radius"] == 22.0  # a body is no thinner than its segments, and no robot than a twentieth
+    np.testing.assert_allclose(data["box"], [drawn.min(0) - around, drawn.max(0) + around], atol=0.11)
+
+
+def test_what_is_farther_away_than_sixteen_bits_tell_stays_at_their_end():
+    long = Robot([ConstantCurvature(9.0, 0.022)])
+    data = view(long, np.zeros((1, 3)), [0.0], "Long.").data
+    assert unpacked(data["shapes"][0]["points"], 0.1, 9, 3)[:, 2] == pytest.approx(
+        [0, 1125, 2250, *[3276.7] * 6]
+    )
+    assert (data["radius"], data["box"][1]) == (450.0, [450.0, 450.0, 9000.0])
 
 
 def test_begins_where_the_estimate_is_farthest_off():

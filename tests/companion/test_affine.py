@@ -153,3 +153,14 @@ def test_errors_of_section_4_4_by_hand():
     )
     values = course.set_index("name").loc[["phi", "delta_L"], ["truth", "mean", "std"]]
     np.testing.assert_allclose(values, [[0, 0.2, 0.2], [0, 0.4, 0.4]], atol=1e-12)
+
+
+def test_stills_of_the_flower_stand_at_six_even_times_and_end_before_it_begins_again():
+    truth = flower(12)
+    shapes, parts = baaij.affine_stills(baaij.affine_robot(), truth, np.stack([truth + 1e-3, truth]))
+    np.testing.assert_allclose(shapes["time_s"].unique(), np.arange(0, 12, 2) / baaij.RATE_HZ)
+    assert list(shapes["run"].unique()) == ["truth", "network 1", "network 2"]
+    tips = shapes.groupby(["run", "time_s"])[["x_mm", "y_mm", "z_mm"]].last()
+    for run in ("truth", "network 2"):
+        np.testing.assert_allclose(tips.loc[run], 1e3 * baaij.affine_robot().tip(truth[::2])[:, :3, 3])
+    assert list(parts["time_s"].unique()) == list(shapes["time_s"].unique())

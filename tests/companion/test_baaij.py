@@ -243,3 +243,18 @@ def test_every_cell_of_table_1_shows_the_printed_number_and_ours(card):
     assert ruled, "lines between groups of rows"
     assert all(line.startswith("#fig-table-1.") for line in ruled), "Table 2 and Table II have other groups"
     assert 'id="fig-table-1"' in html
+
+
+@pytest.mark.parametrize(
+    ("names", "drawn"),
+    [(["n_b=1", "n_b=2", "n_s=12"], ["n_b=1", "n_b=2"]), (["n_s=12", "n_s=18"], ["n_s=12"])],
+)
+def test_paths_are_drawn_by_number_of_segments_or_of_the_first_row(names, drawn):
+    rows = [row(name) for name in names]
+    found = {one.name: baaij.lemniscate(one.n_segments, steps=5) + 1e-3 for one in rows}
+    paths = baaij.tips_over_time(rows, found, 5)
+    assert list(paths) == [row(name).label for name in drawn]
+    for name, (truth, estimate) in zip(drawn, paths.values(), strict=True):
+        robot = row(name).robot()
+        np.testing.assert_allclose(truth, robot.tip(found[name] - 1e-3)[:, :3, 3], atol=1e-12)
+        np.testing.assert_allclose(estimate, robot.tip(found[name])[:, :3, 3])

@@ -173,6 +173,9 @@ def test_lag_of_a_bump(lag_s):
 def test_hull_is_the_third_quartile_around_the_arm(moved, short):
     found = martin.hull(moved, [short, short], 4)
     assert list(found["mode"].unique()) == ["oscillating", "buckling", "circling"]
+    for mode, part in found.groupby("mode"):  # in a pose a quarter of the way through it
+        own = short.time_s[short.mode == mode]
+        assert {*part["time_s"]} == {own[len(own) // 4]}
     tip = martin.shape(short.orientations[::4], martin.arm("pcc"), 0.64) - short.truth(moved, [0.64], 4)
     radius = found.loc[found["arc_mm"] == 640, "radius_mm"]
     np.testing.assert_allclose(

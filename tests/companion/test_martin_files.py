@@ -273,6 +273,12 @@ def test_the_black_arm_passes_through_the_markers(recording):
     np.testing.assert_allclose(
         around.loc[around["arc_mm"] >= 360, "radius_mm"], np.linalg.norm(OFFSET_MM), atol=0.01
     )
+    rigid, extended = np.zeros((2, len(rows.points), 3, 3))
+    extended[[7, 9], -1, 0], points = [1.0, 2.0], rows.points.copy()
+    points[9, 1] = np.nan  # where a marker is lost the models are not compared with the arm
+    joints, arm = martin_capture.farthest_apart(recording, replace(rows, points=points), rigid, extended)
+    assert joints["PCC-extended"][-1, 0] == 1.0
+    np.testing.assert_allclose(arm[[0, 9, 15]], [[0, 0, 0], *rows.points[7, :2]], atol=1e-12)
 
 
 def quaternion_messages(trial, clock_s):

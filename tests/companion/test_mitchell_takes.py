@@ -525,3 +525,21 @@ def test_a_lag_is_compared_with_the_median_of_the_other_takes():
 )
 def test_numbers_of_the_page_by_hand(found, expected):
     assert found() == pytest.approx(expected, nan_ok=True, abs=1e-9)
+
+
+def test_events_of_the_bulb_count_from_ten_times_the_noise_and_bends_from_rest():
+    """Detectors and filters that say what they are given: levels and pauses, and fields less those at rest."""
+    u = np.r_[np.full((100, 3), 2.0), np.full((100, 3), 2.5)]
+    light = {name: mitchell_files.Hall(np.arange(200.0), u, {}) for name in mitchell_files.BULB}
+    rises = {name: pd.DataFrame({"time_s": np.arange(200.0)}) for name in [*light, "light_-1"]}
+    marks = mitchell_takes.bulb_events(rises, 0.4, lambda _, level, apart: [(level, apart)])
+    assert marks.to_numpy().tolist() == [[name, 4.0, 1.0] for name in light]
+    counts = mitchell_takes.event_counts(rises, 0.4, lambda _, level, apart: range(round(level + 4 * apart)))
+    assert counts["light_0"].tolist() == [x + y for x in (2, 4, 8, 16) for y in (1, 4)]
+    shown = mitchell_takes.bulb_shown(counts)
+    assert shown.iloc[:, 2:].to_numpy().tolist() == [[8, 3, 20]] * 4
+    curves = mitchell_takes.bulb_curves(light, rises, lambda x: x[..., :2], lambda x, rest: x - rest)
+    last = curves[curves["file"] == "light_2"].set_index("time_s")
+    assert list(last.index) == [*range(0, 200, 4)]
+    np.testing.assert_allclose(last["bend_deg"], np.where(last.index < 100, 0.0, np.degrees(0.5**0.5)))
+    assert last.loc[196, "direction_deg"] == pytest.approx(45)

@@ -130,6 +130,17 @@ def test_a_jump_is_a_turn_of_more_than_ten_degrees_from_frame_to_frame():
     assert others._jumps(poses) == 3
 
 
+def test_tips_of_a_trunk_stand_at_the_frames_that_are_judged_every_one_of_the_short_motion():
+    """Of six frames one is not kept; errors are those of the last four."""
+    kept, off = np.array([True, False, True, True, True, True]), np.array([3.0, 4.0, 0.0]) * np.ones((4, 1))
+    names = {"kept": dict.fromkeys(("adiabatic", "controlled"), (None, kept, off))}
+    names["judged"] = dict.fromkeys(("adiabatic", "controlled"), (2 * off, None))
+    table = others.tips_of_trunk(others.Found({}, {}, names), every=3).set_index("motion")
+    assert table.loc["adiabatic", "frame"].tolist() == [2, 5]
+    assert table.loc["controlled", "frame"].tolist() == [2, 3, 4, 5]
+    assert (table[["arcs", "with what was learned"]] == [5, 10]).all(axis=None)
+
+
 def test_the_page_counts_what_regions_hold_as_for_all_robots():
     page = json.loads((project_folder() / "notebooks/others.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in page["cells"] if cell["cell_type"] == "code"]

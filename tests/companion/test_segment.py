@@ -111,7 +111,8 @@ def test_two_arcs_have_the_nodes_of_one_arc_of_the_same_shape():
     )
     np.testing.assert_allclose(two.sensing()(np.tile(half, 2)), one.sensing()(2 * np.array(half)), atol=1e-12)
     assert two.lower[2] == two.upper[2] == baaij.ELONGATION / 2
-    assert two.lower[5] < two.upper[5]
+    ends = [(robot.lower[-1], robot.upper[-1]) for robot in (one, two)]
+    np.testing.assert_allclose(ends, [(0, baaij.bounds(1)[1][2]), (0, baaij.bounds(1)[1][2] / 2)])
 
 
 def noiseless(name, size=0.0, seed=3):

@@ -92,6 +92,13 @@ def test_the_grid_compares_with_three_sensors():
             ),
             37.5,
         ),
+        # The median deviations of a design in mm.
+        (
+            lambda: sensor_count.chips_table(
+                SimpleNamespace(by_chips=[{"chips": 3, "calibrated": 1e-3, "as_built": 2e-3}])
+            ).to_numpy()[0],
+            [3, 1, 2],
+        ),
         # From where on no error is above a tolerance.
         (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 5.0), 1),
         (lambda: sensor_count._enough(np.array([5.0, 1.0, 3.0, 1.0]), 1.0), 4),
@@ -122,6 +129,14 @@ def test_sensors_move_to_where_they_are_asked():
     np.testing.assert_allclose(sensors[:, 2], baaij.MAGNET_AT + 0.030)
     np.testing.assert_allclose(np.linalg.norm(sensors[:, :2], axis=1), 0.007)
     assert len(sensors) == 4
+    even, t = np.linspace(-1, 1, 100_001).std(), baaij.ERRORS  # the draws are even
+    sizes = {"azimuth": t.sensor_azimuth, "radius": 0.007 * t.sensor_radius, "tilt": 0.0, "gain": 0.0}
+    for part, limits in (
+        (robot.magnets[0], {"position": t.magnet_position, "tilt": t.magnet_tilt}),
+        (robot.sensors[3], sizes),
+    ):
+        deviations = {name: even * limit for name, limit in limits.items()}
+        assert part.tolerance == pytest.approx(deviations, rel=1e-4)
 
 
 def test_closer_sensors_feel_noise_less_and_tolerances_more():

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import repro
 from repro_companion.papers import baaij, failure
@@ -45,6 +46,29 @@ def test_what_a_failure_costs_by_hand():
     assert not np.signbit(changes[0, 0])
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (3.1, "**The failure costs accuracy.**"),
+        (2.9, "cannot tell whether the failure costs"),
+        (-2.9, "cannot tell whether"),
+        (-3.1, "**With the failure the errors are smaller.**"),
+    ],
+)
+def test_a_failure_is_a_loss_or_a_gain_from_three_standard_errors_on(change, words):
+    """Of two networks whose changes differ by two the standard error of the mean is one."""
+    runs = {"all sensors": (5.0, 5.0), "failure": (4.0 + change, 6.0 + change)}
+    lines = [
+        (seed, run, "after", f"{name}_1", error)
+        for run, errors in runs.items()
+        for seed, error in enumerate(errors)
+        for name in failure.KINDS
+    ]
+    table = pd.DataFrame(lines, columns=["member", "run", "part", "quantity", "error_percent"])
+    means = {"after_percent": [3.0], "all_sensors_percent": [2.0], "authors_after_percent": [3.9]}
+    assert words in failure.cost_in_words(table, pd.DataFrame(means))
+
+
 def test_a_lost_sensor_costs_the_roots_of_one_two_and_three():
     _, J = repro.Sensing(baaij.robot(1, 4)).linearise([0.0, 0.0, 2.75e-3])
     four, three = (np.linalg.inv(rows.T @ rows).diagonal() for rows in (J, J[:3]))
@@ -83,6 +107,14 @@ def test_alarms_are_shares_of_the_study():
     shares = failure.alarms(study)
     pd.testing.assert_frame_equal(shares, expected, rtol=1e-8, check_dtype=False)
     assert (shares["alarm_right_percent"] <= shares["alarm_percent"]).all()
+    shown = failure.alarms_shown(shares)
+    assert list(shown["", "fault"]) == list(failure.FAULTS.values())
+    named = shown["8 sensors", "named"].isna()  # where no sensor fails, none is the right one
+    assert list(shown.index[named]) == ["no reading", "magnet near"]
+    lines = shares[shares["estimator"] == "levenberg_marquardt"].set_index(["robot", "scenario"])
+    for column, (name, robot) in failure.SEEN.items():
+        off = shown[column].astype(float) - lines.loc[robot, name]
+        assert off.abs().max() <= 0.5
 
 
 def test_the_words_about_alarms_are_those_of_the_study():

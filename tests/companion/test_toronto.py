@@ -206,6 +206,36 @@ ONCE = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [6e-3, 8e-3, 0]])
             ),
             {"axes": "1 to 20", "covered": "70 %"},
         ),
+        # What covers the truth by trial, and the extreme semi-axes over all trials.
+        (
+            lambda: toronto.sure_shown(
+                pd.DataFrame(
+                    {
+                        "ellipsoids": "as stated",
+                        "estimator": "filter",
+                        "trial": ["impulse_1", "slow_free_space"],
+                        "covered_percent": [50.0, 80.0],
+                        "shortest_mm": [1.0, 3.0],
+                        "longest_mm": [20.0, 14.0],
+                    }
+                )
+            ).to_dict("records")[0],
+            {
+                "ellipsoids": "filter, as stated",
+                "hit [%]": 50.0,
+                "slow [%]": 80.0,
+                "shortest [mm]": 1.0,
+                "longest [mm]": 20.0,
+            },
+        ),
+        (
+            lambda: toronto.by_trial(
+                pd.DataFrame({"trial": ["impulse_1", "another"], "model": "m", "error_mm": [7.0, 5.0]}),
+                ["model"],
+                "error_mm",
+            ).to_dict("records")[0],
+            {"model": "m", "hit [mm]": 7.0, "another [mm]": 5.0},
+        ),
     ],
 )
 def test_numbers_of_the_page_by_hand(found, expected):

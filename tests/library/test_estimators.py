@@ -283,6 +283,17 @@ def test_rows_are_the_same_whether_written_at_once_or_some_at_a_time(monkeypatch
             np.testing.assert_array_equal(found, expected, name)
 
 
+@pytest.mark.parametrize("size", [9.9e99, -9.9e99, 1e100, -1e100, np.inf])
+def test_a_reading_of_1e100_and_more_is_missing_whatever_reads_it(size):
+    robot = paper_robot(1, 3).replaced(lower=LOW, upper=HIGH, noise=1e-3)
+    for method, u in (
+        (LevenbergMarquardt(lambda q: q * np.ones(3), [-1.0], [1.0], 0.1), np.full(3, 0.5)),
+        (LevenbergMarquardt(robot), Sensing(robot)(Q0)),
+    ):
+        rows = np.stack([u, np.where(np.arange(3) == 1, size, u)])
+        assert track(method, rows, rate_hz=1.0, monitor=None).missing.tolist() == [0, abs(size) >= 1e100]
+
+
 @pytest.mark.parametrize("n", [1, 7, 100, 1000])
 def test_starts_fill_a_box_evenly_from_its_middle_on(n):
     """In one dimension the golden ratio leaves no gap as wide as two and a half even ones."""

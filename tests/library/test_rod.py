@@ -94,6 +94,8 @@ def test_motion_composes_and_is_stationary(a, b):
     P = method.init().covariance
     np.testing.assert_allclose((F @ P)[6, 6], 9 * (1 + 4 * a) * math.exp(-4 * a), rtol=1e-12)
     np.testing.assert_allclose(method.predicted(method.init()._replace(t=0.0), a).covariance, P, atol=1e-12)
+    usual = RodFilter(ROD, [sensor], STD, rate=4.0, base_std=(0.01, 0.1))  # a base changes within ten seconds
+    np.testing.assert_allclose(usual.motion(a)[0][0, 0], (1 + a / 10) * math.exp(-a / 10), rtol=1e-12)
 
 
 # The filter
