@@ -54,10 +54,12 @@ CHIPS = pd.DataFrame(
 RANGES = pd.DataFrame({"step": ["published", "half"] * 2, "chaotic": [True, False, True, True]})
 RIG = pd.DataFrame({"row": table_2.row_name("T3"), "unit": ["%", "mV", "mV"], "error": [1.0, 7.5, 8.5]})
 ALARMS = pd.DataFrame({
-    "scenario": ["stuck", "drift 2 uT/s", "magnet near", "an hour without a fault"], "robot": "two_segments",
-    "estimator": ["kalman", "levenberg_marquardt", "kalman", "kalman"], "alarm_soon": [999, 98, 0, 0],
-    "large": [1000, 100, 100, 1], "first_right": [90, 97, 0, 0], "some": 100, "ended": [100, 100, 0, 0],
-    "trials": [100, 100, 100, 1], "alarms": [5, 5, 5, 2],
+    "scenario": ["stuck", "drift 2 uT/s", "magnet near", "magnet near", "an hour without a fault", "stuck"],
+    "robot": ["two_segments"] * 5 + ["four_chips"],
+    "estimator": ["kalman", "levenberg_marquardt"] * 2 + ["kalman"] * 2, "alarm_soon": [999, 98, 0, 0, 0, 0],
+    "large": [1000, 100, 100, 100, 1, 100], "first_right": [90, 97, 0, 0, 0, 0], "some": [100, 100, 7, 0, 0, 100],
+    "ended": [100, 100, 0, 0, 0, 0], "trials": [100, 100, 20, 20, 1, 100], "alarms": [5, 5, 5, 5, 2, 9],
+    "wrong": [1, 1, 80, 90, 0, 1], "unseen": [1, 1, 30, 40, 0, 1], "readings": 100,
 })  # fmt: skip
 GAIN = pd.DataFrame({"ratio": [0.5, 0.1], "ratio_low": [0.4, 0.05], "ratio_high": [0.6, 0.2]})
 CLOUDS = pd.DataFrame({
@@ -171,6 +173,9 @@ BANDS = pd.DataFrame({
         (lambda: failure.alarms_in_words(ALARMS), "the right one in at least 90 % of the trials"),
         (lambda: failure.alarms_in_words(ALARMS), "One second after the fault the alarm had ended in all trials."),
         (lambda: failure.alarms_in_words(ALARMS), "had an alarm in 2 readings."),
+        (lambda: failure.alarms_in_words(ALARMS),
+         "The tip is off in 80 to 90 % of the readings, and in 30 to 40 % without an alarm. The Kalman filter then "
+         "blames a sensor in 7 of 20 trials, and least squares in none."),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "a factor of 10 compared with nominal"),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "(95 % interval over 9 robots: 5 to 20)"),
         (lambda: emulated.cases_in_words(pd.DataFrame({"median": [14.6, 0.123, 0.456]}), 32, [2.0, 4.56]),
