@@ -174,7 +174,7 @@ BANDS = pd.DataFrame({
         (lambda: failure.alarms_in_words(ALARMS), "One second after the fault the alarm had ended in all trials."),
         (lambda: failure.alarms_in_words(ALARMS), "had an alarm in 2 readings."),
         (lambda: failure.alarms_in_words(ALARMS),
-         "The tip is off in 80 to 90 % of the readings, and in 30 to 40 % without an alarm. The Kalman filter then "
+         "The tip is off in 80 to 90 % of the readings, in 30 to 40 % without an alarm. The Kalman filter then "
          "blames a sensor in 7 of 20 trials, and least squares in none."),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "a factor of 10 compared with nominal"),
         (lambda: baaij.affine_gain_in_words(GAIN, 9), "(95 % interval over 9 robots: 5 to 20)"),

@@ -195,9 +195,9 @@ the trials, with either estimator. The first sensor that the monitor named was t
 of the trials in which it named any. One second after the fault the alarm had ended in
 {{ "all" if ended == "100" else "at least " ~ ended ~ " % of the" }} trials. An hour without a fault, of each arm and
 estimator, had {{ "an alarm in " ~ quiet ~ " readings" if quiet else "no alarm" }}.
-**A magnet nearby is the exception.** It disturbs several sensors, so no single one is to blame. The tip is off in
-{{ low.wrong }} to {{ high.wrong }} % of the readings, and in {{ low.unseen }} to {{ high.unseen }} % without an alarm.
-The Kalman filter then blames a sensor in {{ blamed.kalman }} of {{ trials }} trials, and least squares in
+**A magnet nearby is the exception**, because it disturbs several sensors. The tip is off in {{ low.wrong }} to
+{{ high.wrong }} % of the readings, in {{ low.unseen }} to {{ high.unseen }} % without an alarm. The Kalman filter
+then blames a sensor in {{ blamed.kalman }} of {{ trials }} trials, and least squares in
 {{ blamed.levenberg_marquardt or "none" }}.
 """
 
