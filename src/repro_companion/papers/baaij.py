@@ -813,19 +813,20 @@ def affine_beside_print(card: pd.DataFrame) -> pd.DataFrame:
 
 
 def affine_agreement(beside_print: pd.DataFrame) -> str:
-    """Return the relative errors of section 4.4, ours and the published ones in brackets, as sentences."""
+    """Return which of the relative errors of section 4.4 agree with the published ones, as sentences."""
     relative = beside_print[beside_print["error of"].str.endswith("[%]")]
-    agrees = relative["verdict"].str.contains("reproduced")
-    words = relative.map(lambda text: text.split()[0])
-    apart = " and ".join(words.loc[~agrees, "error of"])
-    weak = " and ".join(words.loc[agrees & (words["verdict"] == "weak"), "error of"])
-    *most, last = (
-        f"{ours} ({printed}) % for {name}" for name, printed, ours, _ in words.itertuples(index=False)
-    )
+    agrees, names = relative["verdict"].str.contains("reproduced"), relative["error of"].str.split().str[0]
+    apart = " and ".join(names[~agrees])
+    weak = " and ".join(names[agrees & relative["verdict"].str.startswith("weak")])
     return (
         ("Our errors agree" if agrees.any() else "None of our errors agrees")
         + " with the published ones"
         + f", except for {apart}" * bool(apart and agrees.any())
-        + f": {', '.join(most)} and {last}, published in brackets."
-        + f" For {weak} the agreement says little, because an error of zero would agree, too." * bool(weak)
+        + f". For {weak} the agreement says little, because an error of zero would agree, too" * bool(weak)
+        + "."
     )
+
+
+AFFINE_CAPTION = (
+    "Errors of section 4.4, mean ± standard deviation over three trainings; % is of the range of a coordinate"
+)
