@@ -84,6 +84,12 @@ SLOWS = pd.Series(
 ATTEMPTS = pd.DataFrame(
     [[False, 3, 3, 1, 0], [True, 2, 3, 1, 7]], columns=["frozen", *mitchell_files.BULB, "light_-1"]
 )
+ROWS_OF_TABLE_1 = pd.DataFrame({
+    "row": ["n_b=1", "n_b=2", "n_b=3", "n_s=9", "n_b=3"], "quantity": ["e_u"] * 4 + ["delta_x"], "weak": "false",
+    "verdict": "reproduced", "published": ["0.015", "0.012", "0.02", "0.012", "1"],
+    "regenerated": ["0.0156", "0.0124", "0.011", "0.3", "9"],
+})  # fmt: skip
+RATIOS = pd.DataFrame({"cells": [9, 1], "below": [8, 1], "ratio": [2.0, 0.5]})
 PRINT = pd.DataFrame([
     ["length [mm]", "9 ± 1", "1 ± 1", "differs"], ["a [%]", "5.4 ± 0.3", "5.1 ± 0.2", "reproduced"],
     ["b [%]", "4.0 ± 1.0", "4.2", "weak (reproduced)"], ["c [%]", "7 ± 2", "6 ± 3", "reproduced"],
@@ -207,6 +213,10 @@ BANDS = pd.DataFrame({
          "against 10 mm. When the arm is shaken, our smoother has 125 mm against 120 mm, and 25 mm against 20 mm."),
         (lambda: wandering.of_columns(pd.DataFrame({"method": ["fused"], "nees": [16.0]})),
          "16 means errors about 4 times as large as stated"),
+        # Rounded as in print only the first of three is larger; n_s=9 is a row printed again.
+        (lambda: baaij.in_words(ROWS_OF_TABLE_1, RATIOS),
+         "**0.50 times the published ones** in the geometric mean. Those of the readings are larger than published "
+         "in 1 of 3 rows."),
         (lambda: baaij.affine_agreement(PRINT),
          "Our errors agree with the published ones. For b the agreement says little, because an error of zero would "
          "agree, too."),

@@ -295,7 +295,8 @@ agreement says little.
 {% endif %}
 {% if total.cells %}
 Of the {{ total.cells }} relative errors (without six sensors) {{ total.below }} are smaller than published; our
-errors are **{{ total.ratio | fixed(2) }} times the published ones** in the geometric mean.
+errors are **{{ total.ratio | fixed(2) }} times the published ones** in the geometric mean. Those of the readings are
+larger than published in {{ worse or "none" }} of {{ rows }} rows.
 {% endif %}
 """
 
@@ -306,6 +307,10 @@ def in_words(card: pd.DataFrame, bias: pd.DataFrame) -> str:
     counts = {verdict: int((own["verdict"] == verdict).sum()) for verdict in COMPARED}
     weak = ((own["verdict"] == "reproduced") & (own["weak"] == "true")).sum()
     said = {"within": counts["reproduced"], "better": counts["better"], "differ": counts["differs"]}
+    rows = own[own["quantity"] == "e_u"]
+    decimals = rows["published"].str.partition(".")[2].str.len()
+    rounded = [round(float(x), places) for x, places in zip(rows["regenerated"], decimals, strict=True)]
+    said |= {"worse": int((rounded > rows["published"].astype(float)).sum()), "rows": len(rows)}
     return sentences(IN_WORDS, **said, compared=sum(counts.values()), weak=weak, total=bias.iloc[-1])
 
 
