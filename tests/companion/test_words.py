@@ -250,8 +250,8 @@ BANDS = pd.DataFrame({
         (lambda: mitchell_takes.errors_in_words(TAKES),
          "**Which method is closer to motion capture depends on what we call the bend.** If it is the tilt of the "
          "body's *y* axis, the ratios, calibrated on other recordings, have an error of 2.0°, and the paper's filter "
-         "with the released settings has 6.0°. If it is the tilt of *z*, as in the released code, the ratios have 8.0° "
-         "and the filter has 4.5°."),
+         "with the released settings has 6.0°. If it is the tilt of *z*, as in the released code, the ratios have "
+         "8.0° and the filter has 4.5°."),
         (lambda: mitchell_takes.errors_in_words(TAKES),
          "With an arc of 15 mm the filter comes to 80° for *y* and 81° for *z* without any calibration; we explain "
          "below why. All these are medians over 3 of the 12 recorded takes."),

@@ -86,7 +86,7 @@ def bend_tests(table: pd.DataFrame) -> Figure:
 def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of the bend against both tilts, and of its direction, by take: a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
-    figure, panels = plt.subplots(3, 1, figsize=(WIDTH, 6.4), sharex=True)
+    figure, panels = plt.subplots(3, 1, figsize=(WIDTH, 6.0), sharex=True)
     columns = {
         "rmse_deg": "bend, tilt of y",
         "rmse_tilt_z_deg": "bend, tilt of z",
@@ -97,9 +97,10 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
         x = np.arange(len(takes)) + 0.2 * (k - (len(names) - 1) / 2)
         look = {"color": colour, "ls": "", "marker": marker, "ms": 7, "mew": 0}
         for panel, column in zip(panels, columns, strict=True):
-            panel.plot(x, own[column], label=name, **look)
+            panel.plot(x, own[column], label=name if column == "rmse_deg" else None, **look)
+    top = 1.08 * errors[[*columns]].to_numpy().max()  # of all panels, which are to be compared
     for panel, words in zip(panels, columns.values(), strict=True):
-        panel.set(ylabel=f"{words}:\nRMSE [°]", ylim=(0, None))
+        panel.set(ylabel=f"{words}:\nRMSE [°]", ylim=(0, top), yticks=(0, 5, 10, 15))
     panels[2].set_xlabel("test and try")
     panels[2].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
     for panel in panels:
