@@ -229,7 +229,7 @@ def test_a_descent_rests_only_below_the_limit(figure, step, rests):
 
 def test_where_the_loss_curves_downwards_nothing_rests(figure):
     page = figure("landscape", "#landscape=step:3")
-    said(page, "γλ is -31: this is no floor .* no descent comes to rest")
+    said(page, "γλ is -31: the loss curves downwards there, and no descent comes to rest")
     assert page.evaluate(NOW)["product"] < 0
 
 

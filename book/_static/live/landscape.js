@@ -114,7 +114,7 @@ function summary({ state, now }) {
   const words = [`The best of ${trail.length} evaluation${trail.length > 1 ? "s" : ""} has an error of ${error(best)} and lies ${short(off)} mm from the true bend.`];
   words.push(left ? "Then the descent leaves the map." : `The last one has ${error(last)}.`);
   const before = trail[trail.length - 2], rests = before && Math.hypot(last.x - before.x, last.y - before.y) < 0.01;
-  const ends = product <= 0 ? ": this is no floor but a slope that gets steeper, where no descent comes to rest."
+  const ends = product <= 0 ? ": the loss curves downwards there, and no descent comes to rest."
     : `, ${product < limit ? "below" : "above"} the limit 2(1 + μ) = ${short(limit)}` + (product >= limit ? ": no descent comes to rest there."
       : rests && !left ? ", and the descent comes to rest there." : ", but the descent is not at rest: what decides is γλ on the floor of the valley.");
   words.push(`At the estimate γλ is ${short(product)}${ends}`);
