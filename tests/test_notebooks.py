@@ -168,10 +168,45 @@ HOME = findings(
         for name in ("table_1_noise", "table_2_networks")
     ),
 )
+
+
+def worse_readings() -> float:
+    """Return in which share of the rows of Table 1 our networks predict the readings worse, as far as print tells."""
+    rows = card(artefact="Table 1", quantity="e_u").query("row not in ['n_s=9', 'nominal']")
+    return (rows["regenerated"].round(3) > rows["published"]).mean()
+
+
+def of_searches(model: str) -> pd.Series:
+    """Return the error of one segment with the descent over the one with least squares, for each seed."""
+    found = results("table_1_models").query(f"model == '{model}'")
+    wide = found.pivot(index="seed", columns="solver", values="configuration_percent")
+    return wide["gradient descent"] / wide["Levenberg-Marquardt"]
+
+
 WORDS = [
     (
         "book/index.md",
-        "In Table 1 our errors are on average a fifth smaller",
+        "although our networks predict the readings no better",
+        lambda: worse_readings() > 0.5,
+    ),
+    (
+        "notebooks/table_1.ipynb",
+        "are mostly predicted no better",
+        lambda: worse_readings() > 0.5,
+    ),
+    (
+        "notebooks/table_1.ipynb",
+        "With the two better models the search matters as well",
+        lambda: (
+            of_searches("network of the paper").max()
+            < 1.1
+            < 1.3
+            < min(of_searches(name).min() for name in ("fast network", "multipole"))
+        ),
+    ),
+    (
+        "book/index.md",
+        "In Table 1 our errors of the shape are on average a fifth smaller",
         lambda: 0.75 < results("table_1_bias").set_index("n_b").loc["all", "ratio"] < 0.85,
     ),
     (
@@ -191,7 +226,7 @@ WORDS = [
     ),
     (
         "notebooks/table_2.ipynb",
-        "half the step lowers the errors only a little on average",
+        "Half the step lowers the errors only a little on average",
         lambda: 0.8 < (of_filter()["of_descent"] / of_filter()["of_half_step"])["simulated rig"] < 1,
     ),
     (

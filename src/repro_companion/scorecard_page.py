@@ -38,6 +38,7 @@ STUDIES = {
     "table_2_networks": ["row", "quantity", "unit", "error"],
 }
 """Studies that the home page needs, with the columns that it reads; another project may not have them."""
+AXES = {"delta_x": "Δx", "delta_y": "Δy"}
 LETTERS = (
     (r"\bd_s_r\b", "<i>d</i><sub>s,r</sub>"),
     (r"\bpsi_s\b", "ψ"),
@@ -273,10 +274,11 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) ->
     in_mm = numbers["quantity"].str.startswith("delta") & (numbers["unit"] == "mm")
     table_2 = numbers[in_mm & (numbers["artefact"] == "Table 2")].set_index(["row", "quantity"])
     errors = networks[networks["unit"] == "mm"].groupby(["row", "quantity"])["error"].mean()
-    rig, robots = (
-        (errors / table_2["published"]).groupby("row").mean() for errors in (table_2["regenerated"], errors)
-    )
-    motions = [row.rpartition("->")[2].partition(".")[0] for row in rig.sort_values().index] or ["–"]
+    rig, robots = (errors / table_2["published"] for errors in (table_2["regenerated"], errors))
+    cells = [
+        f"{row.rpartition('->')[2].partition('.')[0]}, {AXES[axis]}" for row, axis in rig.sort_values().index
+    ]
+    cells = cells or ["–"]  # where there is no such number
     noisy = noise[(noise["row"] == "n_b=1") & (noise["method"] == "calibrated") & (noise["noise_mt"] > 0.01)]
     ours = card[card["paper"] == "baaij2023"]
     tally = kinds(ours).value_counts().reindex(KINDS, fill_value=0 if len(ours) else np.nan)
@@ -289,9 +291,9 @@ def findings(card: pd.DataFrame, noise: pd.DataFrame, networks: pd.DataFrame) ->
         "home.ring_best": number(ring["best"].mean(), 1),
         "home.ring_noisy": number(noisy["error_percent"].mean(), 1),
         "home.rig_least": number(rig.min(), 2),
-        "home.rig_least_on": motions[0],
+        "home.rig_least_on": cells[0],
         "home.rig_most": number(rig.max(), 2),
-        "home.rig_most_on": motions[-1],
+        "home.rig_most_on": cells[-1],
         "home.networks_least": number(robots.min(), 2),
         "home.networks_most": number(robots.max(), 2),
         "home.bend_paper": number(bend["regenerated"].mean(), 1),

@@ -117,6 +117,18 @@ def test_least_squares_against_descent(figure):
     assert early > 100 * lm
 
 
+def test_a_descent_from_the_truth_owes_its_error_to_its_start(figure):
+    """From the truth it is closer than least squares with every noise; the words give what a cold start has."""
+    for seed in (1, 2, 3):
+        page = figure("magnets", f"#magnets=seed:{seed}")
+        least, near = map(float, said(page, ERRORS).groups())
+        cold = said(page, r"from the straight pose it has ([\d.]+) mm").group(1)
+        assert near < least < float(cold) / 10
+        page.get_by_label("Start").select_option("straight")
+        said(page, f"least squares, {cold} mm with gradient descent")
+        assert "started at the true shape" not in page.locator(".live-text").inner_text()
+
+
 def test_the_figure_starts_as_the_paper_does(figure):
     """At the true shape, then from estimate to estimate: after a jump the descent is behind, and it catches up."""
     page = figure("magnets", "#magnets=segments:1,noise:0")
@@ -208,8 +220,17 @@ def test_a_descent_rests_only_below_the_limit(figure, step, rests):
     (before, last), left = now["trail"][-2:], now["left"]
     moved = np.hypot(last["x"] - before["x"], last["y"] - before["y"])
     assert (left is None and moved < 0.01) == rests
+    said(
+        page, "the descent comes to rest there" if rests else "is not at rest|no descent comes to rest there"
+    )
     if rests:
         assert now["product"] < now["limit"]
+
+
+def test_where_the_loss_curves_downwards_nothing_rests(figure):
+    page = figure("landscape", "#landscape=step:3")
+    said(page, "γλ is -31: the loss curves downwards there, and no descent comes to rest")
+    assert page.evaluate(NOW)["product"] < 0
 
 
 def test_a_press_on_the_map_starts_there(figure):

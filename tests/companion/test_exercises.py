@@ -45,13 +45,6 @@ class Run:
         return "".join("".join(output.get("text", "")) for output in outputs)
 
 
-def of_first_steps(run: Run) -> None:
-    """A quarter of a circle: as far up as to the side; the printed curve still begins at the full length."""
-    curve = run.table("kinematics_equation_15")
-    np.testing.assert_allclose(curve.iloc[-1][["v", "x_mm", "z_mm"]], [1, 70, 70], atol=0.05)
-    np.testing.assert_allclose(curve.iloc[0][["x_printed_mm", "z_printed_mm"]], [0, 110], atol=3)
-
-
 def of_closed_loop(run: Run) -> None:
     """Which estimator comes closest to the loop with the truth, and what limits least squares."""
     table = run.table("closed_loop_means").query("session == 'as modelled'")
@@ -108,7 +101,6 @@ def of_index(run: Run) -> None:
 LAWS: dict[str, Callable[[Run], None]] = {
     "closed_loop": of_closed_loop,
     "drift": of_drift,
-    "first_steps": of_first_steps,
     "index": of_index,
     "live": of_live,
     "particle_filter": of_particle_filter,

@@ -343,7 +343,9 @@ def test_medians_are_over_the_takes_of_a_method_and_a_length():
     found = mitchell_takes.median_errors(mitchell_takes.bend_errors([*runs, *longer]))
     np.testing.assert_allclose(found["rmse_deg"], 2.0)
     assert found["takes"].tolist() == [3, 3, 3]
-    assert found["name"].tolist()[1:] == [f"paper's filter, as released, {mm} mm" for mm in (13, 15)]
+    assert found["name"].tolist()[1:] == [
+        f"paper's filter, released settings{mm} mm" for mm in (", 13", " but 15")
+    ]
 
 
 def test_takes_side_by_side_end_in_nothing():

@@ -279,9 +279,9 @@ def test_the_numbers_of_the_home_page_are_means():
     )
     found = page.findings(pd.concat([ring, bend, rig, *others]), noise, networks)
     assert list(found.items())[4:] == [
-        ("home.ring_paper", "3"), ("home.ring_best", "0.3"), ("home.ring_noisy", "9"), ("home.rig_least", "1.2"),
-        ("home.rig_least_on", "T5"), ("home.rig_most", "4.5"), ("home.rig_most_on", "T4"),
-        ("home.networks_least", "2.0"), ("home.networks_most", "2.0"), ("home.bend_paper", "3"),
+        ("home.ring_paper", "3"), ("home.ring_best", "0.3"), ("home.ring_noisy", "9"), ("home.rig_least", "0.50"),
+        ("home.rig_least_on", "T5, Δx"), ("home.rig_most", "6.0"), ("home.rig_most_on", "T4, Δx"),
+        ("home.networks_least", "1.0"), ("home.networks_most", "3.0"), ("home.bend_paper", "3"),
         ("home.bend_printed", "6.0"),
     ]  # fmt: skip
 

@@ -113,7 +113,11 @@ function summary({ state, now }) {
   const off = Math.hypot(best.x - TRUTH[0], best.y - TRUTH[1]);
   const words = [`The best of ${trail.length} evaluation${trail.length > 1 ? "s" : ""} has an error of ${error(best)} and lies ${short(off)} mm from the true bend.`];
   words.push(left ? "Then the descent leaves the map." : `The last one has ${error(last)}.`);
-  words.push(`At the estimate γλ is ${short(product)}, ${product < limit ? "below" : "above"} the limit 2(1 + μ) = ${short(limit)}: a descent ${product < limit ? "can" : "cannot"} come to rest there.`);
+  const before = trail[trail.length - 2], rests = before && Math.hypot(last.x - before.x, last.y - before.y) < 0.01;
+  const ends = product <= 0 ? ": the loss curves downwards there, and no descent comes to rest."
+    : `, ${product < limit ? "below" : "above"} the limit 2(1 + μ) = ${short(limit)}` + (product >= limit ? ": no descent comes to rest there."
+      : rests && !left ? ", and the descent comes to rest there." : ", but the descent is not at rest: what decides is γλ on the floor of the valley.");
+  words.push(`At the estimate γλ is ${short(product)}${ends}`);
   return words.join(" ") + " Simulated rig, one instant of T2.";
 }
 

@@ -129,14 +129,16 @@ function compute(figure) {
     const last = warm && (linked ? fromAddress(state.from, n) : before && { lm: before.lm.q, descent: before.descent.q, momentum: before.descent.momentum });
     const began = last || { lm: from, descent: from, momentum: from.map(() => 0) };
     const lm = REPRO.levenbergMarquardt(sensing, began.lm, u, use, low, high, evaluations - 1);
-    const descent = REPRO.gradientDescent(sensing, began.descent, began.momentum, u, use, steps, 0.3, evaluations);
-    figure.estimate = { lm, descent, asked };
+    const descending = (x, momentum) => REPRO.gradientDescent(sensing, x, momentum, u, use, steps, 0.3, evaluations);
+    const descent = descending(began.descent, began.momentum);
+    const cold = warm && !last ? descending(straight(n), from.map(() => 0)) : null; // what the true start is worth
+    figure.estimate = { lm, descent, cold, asked };
     if (!(linked && figure.waiting)) figure.from = state.from = last ? inAddress(last) : "";
   }
-  const { lm, descent } = figure.estimate;
+  const { lm, descent, cold } = figure.estimate;
   const tip = REPRO.tip(model.body, q).p;
   const off_mm = (x) => 1e3 * Math.hypot(...plus(REPRO.tip(model.body, x).p, tip, -1));
-  return { q, u, use, sensing, model, lm, descent, chosen: state.method === "lm" ? lm : descent, off_mm, tip };
+  return { q, u, use, sensing, model, lm, descent, cold, chosen: state.method === "lm" ? lm : descent, off_mm, tip };
 }
 
 /** Shapes along the direction that the readings say least about, as far as they read alike; none where all is known. */
@@ -309,7 +311,8 @@ function summary(figure) {
   const mm = (x) => (x < 1e-4 ? "less than 0.0001 mm" : short(x) + " mm");
   const words = [`${n} segment${n > 1 ? "s" : ""}, ${on} of ${now.use.length} sensors in use, synthetic readings ${state.noise > 0 ? "with" : "without"} noise.`];
   words.push(`Error of the tip after ${state.evaluations} evaluations: ${mm(now.off_mm(now.lm.q))} with least squares, ${mm(now.off_mm(now.descent.q))} with gradient descent.`);
-  if (now.ellipsoid) words.push(`With this noise no unbiased method has a standard deviation of the tip below about ${short(now.ellipsoid.worst)} mm in its worst direction; a single estimate can be closer by luck.`);
+  if (now.cold) words.push(`The descent started at the true shape and stays near its start, which hides its errors: from the straight pose it has ${mm(now.off_mm(now.cold.q))} after as many evaluations.`);
+  if (now.ellipsoid) words.push(`With this noise no unbiased method has a standard deviation of the tip below about ${short(now.ellipsoid.worst)} mm in its worst direction.`);
   if (now.ghosts.shapes.length) words.push(`${now.ghosts.shapes.length} other shapes are drawn that these sensors cannot tell from the estimate: one direction is all but undetermined.`);
   if (figure.waiting) words.push("Calibration is being computed.");
   else if (state.tolerances) words.push(state.calibrated ? `The model is calibrated in ${POSES} known poses.` : "The parts are not where the drawing has them, and the model does not know it.");

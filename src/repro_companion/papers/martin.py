@@ -578,16 +578,13 @@ ABOUT_THE_ARM = (
 
 def below_table_ii(table: pd.DataFrame) -> str:
     """Return what the lower numbers of Table II are, and what the other chains give."""
-    rigid, at = _rigid_medians(table), 1e3 * np.array(MARKERS)
-    at_markers, of_text = (
-        "{:.1f} % (M1) and {:.1f} % (M2)".format(*100 * rigid[evaluation, 8] / at)
-        for evaluation in (SAME_POINT, DESCRIBED)
-    )
+    of_text = 100 * _rigid_medians(table)[DESCRIBED, 8] / (1e3 * np.array(MARKERS))
     return (
-        "Lower: synthetic trials, mean ± standard deviation over sensor draws. As in the authors' files, the column"
-        " of the rigid-body model has interpolated links and is evaluated 40 mm before the markers; we say below why"
-        f" this matters. At the markers its medians are {at_markers}. With the rigid links of the text they are"
-        f" {of_text}."
+        "Lower: synthetic trials, mean ± standard deviation over sensor draws. The rigid-body chain of the files has"
+        " interpolated links and is evaluated 40 mm before the markers (see below). Italic: the same chain at the"
+        " markers. With the rigid links of the text the medians are {:.1f} % (M1) and {:.1f} % (M2).".format(
+            *of_text
+        )
     )
 
 
@@ -602,7 +599,7 @@ Median errors in mm, 40 mm *before* each marker and *at* it.
 **{{ "On our synthetic arm" if synthetic else "In the authors' trial" }} the place of evaluation matters more than the
 choice between the two models of Table II.**
 {% endif %}
-They stand in the third and the last row, but at different points. At M1 this compares
+At M1 the third and the last row compare
 {{ before | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ apart | percent_less }}. At the same point it would be
 {{ here | fixed(1) }} mm with {{ fine | fixed(1) }} mm, {{ together | percent_less }}. The paper states about 25 %
 less. Where a *rigid* link sits matters more: {{ ends | fixed(0) }} mm if it ends at its IMU, as in the text, and
@@ -663,9 +660,11 @@ def calibration_in_words(ratios: pd.DataFrame, parameters: int, synthetic: bool)
     """Return how much the calibration gains on the synthetic arm, and what that says of the arm of the page."""
     own = ratios[(ratios["mode"] == "all") & (ratios["point"] == "markers")].set_index("method")
     median_mm = {name: f"{number(x, 2)} mm" for name, x in own["median_mm"].items()}
+    imus = (parameters - 6) // 3
     words = (
         f"Over both markers and {own['draws'].max()} synthetic draws the median error falls from"
-        f" {median_mm[BASELINE]} to {median_mm[BEST]}, with {parameters} parameters: six of the"
-        f" frame, and three of each IMU. The frame alone brings it to {median_mm['exact arcs + frame']}."
+        f" {median_mm[BASELINE]} to {median_mm[BEST]}, with {parameters} parameters: six of the frame, and three of"
+        f" each of the {imus} IMUs between base and M2. The frame alone brings it to"
+        f" {median_mm['exact arcs + frame']}."
     )
     return sentences(CALIBRATED, own=words, synthetic=synthetic)

@@ -402,7 +402,7 @@ CAPTIONS = {
 ABOUT_THE_ARM = "We take orientations and two recorded markers of the authors' trial."
 BELOW_TABLE_II = (
     "Lower: the tables of the models against the motion capture. The rigid-body column is the chain with 8 segments,"
-    " 40 mm before the markers, as in the authors' files."
+    " 40 mm before the markers, as in the authors' files. Italic: the chains that we compute at the markers."
 )
 
 

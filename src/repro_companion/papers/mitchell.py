@@ -237,12 +237,19 @@ def over_seeds(table: pd.DataFrame) -> pd.DataFrame:
     return by.agg(rmse_mm="mean", rmse_std_mm="std", seeds="count").reset_index()
 
 
-def beside_print(printed: pd.Series, summary: pd.DataFrame, means: pd.DataFrame) -> pd.DataFrame:
-    """Return the published errors [mm] by curve, those of a page as printed, and those of the setting that fits."""
+def beside_print(
+    printed: pd.Series, summary: pd.DataFrame, means: pd.DataFrame, process_noise_pi: float = 0.02
+) -> pd.DataFrame:
+    """Return the published errors [mm] by curve, those of a page as printed, and those of the setting that fits.
+
+    The heading has the process noise of the page, in parts of π.
+    """
     here = summary[(summary["particles"] == 1000) & (summary["setting"] == PRINTED.name)].set_index("curve")
     fits = means[means["setting"] == FITS.name].set_index("curve")
     columns = {"RMSE [mm]": pd.Series({name: name.capitalize() for name in CURVES}), "published": printed}
-    columns |= {"process noise as stated": here["rmse_mm"], "¼ of it, arc 14 mm": fits["rmse_mm"]}
+    stated = " (stated)" * (process_noise_pi == PRINTED.process_noise_pi)
+    columns |= {f"process noise {process_noise_pi:g}π rad{stated}": here["rmse_mm"]}
+    columns |= {f"{FITS.process_noise_pi:g}π rad, arc 14 mm": fits["rmse_mm"]}
     return pd.DataFrame({name: column[list(CURVES)] for name, column in columns.items()})
 
 

@@ -84,18 +84,25 @@ def bend_tests(table: pd.DataFrame) -> Figure:
 
 @style(**LEVELS)
 def bend_errors(errors: pd.DataFrame) -> Figure:
-    """Draw the errors of bend and direction by take, a mark for each method."""
+    """Draw the errors of the bend against both tilts, and of its direction, by take: a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
-    figure, panels = plt.subplots(2, 1, figsize=(WIDTH, 5.6), sharex=True, height_ratios=[1.4, 1])
+    figure, panels = plt.subplots(3, 1, figsize=(WIDTH, 6.0), sharex=True)
+    columns = {
+        "rmse_deg": "bend, tilt of y",
+        "rmse_tilt_z_deg": "bend, tilt of z",
+        "direction_deg": "direction",
+    }
     for k, (name, colour, marker) in enumerate(zip(names, (ORANGE, PINK, GREEN, BLUE), "sXDo", strict=False)):
         own = errors[errors["name"] == name].set_index("take").reindex(takes)
         x = np.arange(len(takes)) + 0.2 * (k - (len(names) - 1) / 2)
         look = {"color": colour, "ls": "", "marker": marker, "ms": 7, "mew": 0}
-        panels[0].plot(x, own["rmse_deg"], label=name, **look)
-        panels[1].plot(x, own["direction_deg"], **look)
-    panels[0].set(ylabel="bend: RMSE [°]", ylim=(0, None))
-    panels[1].set(ylabel="direction: RMSE [°]", ylim=(0, None), xlabel="test and try")
-    panels[1].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
+        for panel, column in zip(panels, columns, strict=True):
+            panel.plot(x, own[column], label=name if column == "rmse_deg" else None, **look)
+    top = 1.08 * errors[[*columns]].to_numpy().max()  # of all panels, which are to be compared
+    for panel, words in zip(panels, columns.values(), strict=True):
+        panel.set(ylabel=f"{words}:\nRMSE [°]", ylim=(0, top), yticks=(0, 5, 10, 15))
+    panels[2].set_xlabel("test and try")
+    panels[2].set_xticks(range(len(takes)), [take[5:].replace("_try_", "\ntry ") for take in takes])
     for panel in panels:
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
