@@ -81,7 +81,8 @@ class Columns(NamedTuple):
 def read_readings(robot: Assembly, source: Any) -> Readings:
     """Return the readings of a table ``[t, s]`` for a robot: see :meth:`repro.Robot.readings`."""
     table = read_table(source)
-    remarks = list(table.remarks)
+    remarks, infinite = list(table.remarks), np.isinf(table.values)  # those of a recording may be
+    note_count(int(infinite.sum()), infinite.size, f"numbers of {table.owner}", "missing: infinite", remarks)
     n = sum(sensor.axes for sensor in robot.sensors)
     if not robot.imus and len(table.columns) == n == table.unnamed:
         table, words = taken_in_order(robot, table, n)
