@@ -36,7 +36,7 @@ FACTS = """async () => {
   const beside = 'table, figcaption, details, noscript, svg, .live-figure, .shape-view';
   prose.querySelectorAll(beside).forEach(part => part.remove());
   return {
-    words: (prose.querySelector('article').textContent.match(/[\\p{L}'’]+/gu) || []).length,
+    words: ((prose.querySelector('article') || prose).textContent.match(/[\\p{L}'’]+/gu) || []).length,
     squeezed: squeezed.map(cell => cell.textContent.trim()),
     text: document.body.innerText,
     images: images.map(i => ({src: i.getAttribute('src'), alt: i.alt, width: i.naturalWidth})),

@@ -43,11 +43,11 @@ def test_rows_are_folded_table_by_table(browser):
         assert page.locator(f"{ROWS}:visible").count() == fold.locator("tbody").count() > 0
 
 
-def test_the_index_comes_first(browser):
-    """Its first rows are in the first screen, and the folds of equations are shut."""
+def test_the_counts_come_first_and_the_index_next(browser):
+    """They are in the first screen, with a link to the index, in which the folds of equations are shut."""
     with open_page(browser, url_of("scorecard.html")) as (page, _):
-        box = page.locator("table.paper-index a").first.bounding_box()
-        assert box["y"] < 900
+        for first in ("main table a[href*='verdict=']", "main p a[href='#index-of-the-papers']"):
+            assert page.locator(first).first.bounding_box()["y"] < 900
         assert page.locator("details[open]:has(table.paper-index)").count() == 0
 
 

@@ -86,7 +86,7 @@ def bend_tests(table: pd.DataFrame) -> Figure:
 def bend_errors(errors: pd.DataFrame) -> Figure:
     """Draw the errors of the bend against both tilts, and of its direction, by take: a mark for each method."""
     takes, names = sorted(errors["take"].unique()), list(errors["name"].unique())
-    figure, panels = plt.subplots(3, 1, figsize=(WIDTH, 6.0), sharex=True)
+    figure, panels = plt.subplots(3, 1, figsize=(WIDTH, 6.4), sharex=True)
     columns = {
         "rmse_deg": "bend, tilt of y",
         "rmse_tilt_z_deg": "bend, tilt of z",
@@ -106,7 +106,7 @@ def bend_errors(errors: pd.DataFrame) -> Figure:
     for panel in panels:
         for edge in range(1, len(takes)):
             panel.axvline(edge - 0.5, color="#767676", lw=0.5, alpha=0.5)
-    return with_legend(figure, columns=2, handlelength=0.5)
+    return with_legend(figure, columns=1, handlelength=0.5)
 
 
 @style()
