@@ -113,7 +113,7 @@ def rows(of_robots: Mapping[str, Found]) -> pd.DataFrame:
         longest = [f"{number(figures[f'{case}_longest'], 2)}{about['unit']}" for case in about["cases"]]
         own = {key: about[key] for key in ("robot", "repository", "commit", "licence", "measured")}
         own |= {key: about[key].format_map(figures) for key in ("source", "ours", "monitor")}
-        own |= {"covered": " and ".join(covered) or "–", "longest": " and ".join(longest) or "–"}
+        own |= {"covered": ", ".join(covered) or "–", "longest": ", ".join(longest) or "–"}
         own |= {"lines": written_lines(script(name))}
         lines.append({"name": name} | own | {"computed": "here" if names else "before"})
     return pd.DataFrame(lines)
