@@ -318,6 +318,7 @@ def test_a_full_disk_ends_with_1_and_leaves_nothing(words, folder, monkeypatch, 
     monkeypatch.chdir(folder)
     before, limit = sorted(folder.iterdir()), resource.getrlimit(resource.RLIMIT_FSIZE)
     track_file("motion.rec", "robot.toml")  # all that it needs is compiled
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of a module: it would be cut off, and stay so
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limit[1]))
     try:
         assert main(words.split()) == 1

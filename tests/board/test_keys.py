@@ -179,6 +179,7 @@ def its_time_passes() -> None:
 
 def its_disk_fills() -> None:
     """Let no file grow in a program when it is told to."""
+    sys.dont_write_bytecode = True  # of a module that is loaded later: it would be cut off, and stay so
     signal.signal(signal.SIGUSR1, lambda *_: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))
 
 

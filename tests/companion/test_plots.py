@@ -71,7 +71,11 @@ BULB = table(
     file="light_1", time_s=[0.0, 1.0], bend_deg=1.0, direction_deg=2.0, ratio=0.5, baseline=[0.1, 0.2]
 )
 TAKES = table(
-    name=["a", "a", "b", "b"], take=["bend_1", "bend_2"] * 2, rmse_deg=[1.0, 2.0, 3.0, 4.0], direction_deg=9.0
+    name=["a", "a", "b", "b"],
+    take=["bend_1", "bend_2"] * 2,
+    rmse_deg=[1.0, 2.0, 3.0, 4.0],
+    rmse_tilt_z_deg=8.0,
+    direction_deg=9.0,
 )
 FIGURES = {
     "shares of the length in print are drawn as lengths": (
