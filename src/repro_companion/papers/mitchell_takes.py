@@ -391,7 +391,8 @@ WORTH = """
 if closer(y) == closer(z) else "Which method is closer to motion capture depends on what we call the bend" }}.**
 If it is the tilt of the body's *y* axis, the ratios, calibrated on other recordings, have an error of
 {{ y[0] | two }}°, and the paper's filter with the released settings has {{ y[1] | two }}°. If it is the tilt of *z*,
-as in the released code, the ratios have {{ z[0] | two }}° and the filter has {{ z[1] | two }}°. With an arc of 15 mm
+as in the released code, the ratios, still calibrated on *y*,
+have {{ z[0] | two }}° and the filter has {{ z[1] | two }}°. With an arc of 15 mm
 the filter comes to {{ y[2] | two }}° for *y* and {{ z[2] | two }}° for *z* without any calibration; we explain below
 why. All these are medians over {{ takes }} of the 12 recorded takes. The paper prints no errors for Fig. 9.
 """

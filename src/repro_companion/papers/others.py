@@ -131,19 +131,17 @@ def table(of_rows: pd.DataFrame) -> HTML:
 
 
 IN_SHORT = """
-**In short.** The estimates work{{ " in part" if larger }}, the stated regions do
-{{ "too" if good == covered | length else "not" }}.
-Where a source states an error of the same task, ours is smaller for
-{{ smaller | join(" and ") or "none" }}{{ ", and larger for " ~ larger | join(" and ") if larger }}.
+**In short.** The public names were enough for all robots. Where a source states an error of the same task, ours is
+smaller for {{ smaller | join(" and ") or "none" }}{{ ", and larger for " ~ larger | join(" and ") if larger }}.
 {% if rod %}
 On the continuum robot our filter has a
 {{ "smaller" if rod.slow_free_space_rms_mm < rod.slow_free_space_source_filter_mm else "larger" }} error than the
 source's in the slow trial, on which we chose its noise. In the other trial, when the arm is hit, we have
 {{ rod.impulse_1_rms_mm | fixed(1) }} mm against {{ rod.impulse_1_source_filter_mm | fixed(1) }} mm.
 {% endif %}
-Do not trust the stated regions of a new robot before you have evaluated them. They should cover 90 %, but of
-{{ covered | length }} that we evaluated, {{ good or "none" }} cover{{ "s" if good < 2 }} between 85 and 95 %, and the
-worst covers {{ covered | min | fixed(0) }} %.
+Do not trust the stated regions of a new robot before you have evaluated them. They should cover 90 %. In
+{{ covered | length }} evaluations, {{ good or "none" }} cover{{ "s" if good < 2 }} between 85 and 95 %, {{ less or
+"none" }} less and {{ more or "none" }} more, and the worst covers {{ covered | min | fixed(0) }} %.
 """
 STATED = {
     "eflesh": ("eFlesh", "x_rms_mm", 0.5),
@@ -162,7 +160,8 @@ def in_short(of_robots: Mapping[str, Found]) -> str:
         own.figures[f"{case}_covered_percent"] for own in of_robots.values() for case in own.about["cases"]
     ]
     good = sum(85 <= value <= 95 for value in covered)
-    counts = {"covered": covered, "good": good}
+    less, more = sum(value < 85 for value in covered), sum(value > 95 for value in covered)
+    counts = {"covered": covered, "good": good, "less": less, "more": more}
     return sentences(IN_SHORT, smaller=smaller, larger=larger, rod=figures.get("toronto"), **counts)
 
 
