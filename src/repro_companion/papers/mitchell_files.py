@@ -235,7 +235,8 @@ FILES = """
 {% if not found %}
 We may not pass the recordings on, so this page was built without them. Its numbers are from a run with the files
 that we had, 9 of the 12 takes and two of three repetitions at nominal bends. The first command brings all
-{{ listed }} files ({{ megabytes | fixed(0) }} MB). Then the page draws Figs 8 and 9 over time, and computes every number from your copy.
+{{ listed }} files ({{ megabytes | fixed(0) }} MB). Then the page draws Figs 8 and 9 over time, and
+computes every number from your copy.
 {% elif missing %}
 Not found: {{ missing | join(", ") }}. {{ checked }} What needs the missing ones stands here as an earlier run found
 it, or not at all. These commands bring them:
